@@ -1,0 +1,1 @@
+"""Two robots in MIT's corridors: real laser scans, place descriptors and ground truth for ``spdz demo``."""

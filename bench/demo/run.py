@@ -1,0 +1,170 @@
+"""The demo's plot: scans to descriptors, deal, two processes, compare with the clear and with the truth."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.demo import dataset, places
+from bench.demo.picture import draw_map
+from bench.pair import free_port
+from dealer.mission import deal_mission
+from protocols.candidate import is_candidate
+from protocols.catalog import Purpose
+from protocols.scores import S10
+from spdz.local import run_clear
+from spdz.progress import progress_bar
+from spdz.types import Security
+
+TILE = (25, 30)
+"""Keyframes of Alice and of Bob in a job."""
+
+TIMEOUT = 300.0
+"""Seconds after which a robot's process counts as hung."""
+
+
+class DemoFailed(RuntimeError):
+    """A robot's process failed; the message is its error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What the demo measured. Times are milliseconds, sizes bytes."""
+
+    security: str
+    keyframes: tuple[int, int]
+    dimension: int
+    threshold: float
+    pairs: int
+    candidates: int
+    private_quality: places.Quality
+    clear_quality: places.Quality
+    disagreements: int
+    dealt_comparisons: int
+    dealing_seconds: float
+    folder_bytes: tuple[int, int]
+    bytes_sent: tuple[int, int]
+    rounds: int
+    milliseconds: float
+    clear_bytes: tuple[int, int]
+    clear_milliseconds: float
+    picture: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return asdict(self) | {
+            "private_quality": self.private_quality._asdict(),
+            "clear_quality": self.clear_quality._asdict(),
+        }
+
+
+def run_demo(out: Path, security: Security = "malicious") -> Report:
+    """Run the whole demo.
+
+    Args:
+        out: Folder for the picture; created if need be.
+        security: The security model.
+
+    Raises:
+        DemoFailed: if a robot's process fails.
+        ImportError: if the extra ``spdz[demo]`` is not installed.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    _say("reading 3,873 laser scans and describing the keyframes of two robots")
+    run = dataset.load()
+    alice, bob = places.robots(run)
+    with tempfile.TemporaryDirectory(prefix="spdz-demo-") as folder:
+        purpose = Purpose("S10", dim=alice.descriptors.shape[1], tile=TILE, max_norm=1.0)
+        jobs = -(-len(alice.descriptors) // TILE[0]) * -(-len(bob.descriptors) // TILE[1])
+        _say("dealing, as the trusted dealer does before the mission")
+        started = time.perf_counter()
+        with progress_bar("dealing") as bar:
+            dealt = deal_mission(
+                Path(folder), (alice.name, bob.name), purpose, jobs * purpose.pairs, security, progress=bar
+            )
+        dealing = time.perf_counter() - started
+        _say("two robots compare all keyframes: two processes, TLS 1.3 on loopback")
+        first, second = _match(Path(folder), (alice, bob), places.DEFAULT_THRESHOLD)
+    decisions = np.zeros((len(alice.descriptors), len(bob.descriptors)), dtype=np.bool_)
+    decisions[tuple(np.array(first["matches"], dtype=np.int64).reshape(-1, 2).T)] = True
+    if sorted((j, i) for i, j in second["matches"]) != sorted(map(tuple, first["matches"])):
+        raise DemoFailed("the two robots report different matches")
+    truth = places.truth(alice, bob)
+    exact = run_clear(
+        is_candidate(S10.within(1.0), places.DEFAULT_THRESHOLD),
+        alice.descriptors[:, None],
+        bob.descriptors[None],
+    ).value
+    private, clear = bob.fold(decisions), bob.fold(exact)
+    picture = out / "map.png"
+    draw_map(picture, run, alice, bob, private, truth)
+    return Report(
+        security=security,
+        keyframes=(len(alice.descriptors) // alice.turns, len(bob.descriptors) // bob.turns),
+        dimension=alice.descriptors.shape[1],
+        threshold=places.DEFAULT_THRESHOLD,
+        pairs=int(decisions.size),
+        candidates=int(private.sum()),
+        private_quality=places.precision_recall(private, truth),
+        clear_quality=places.precision_recall(clear, truth),
+        disagreements=int((decisions != exact).sum()),
+        dealt_comparisons=dealt.comparisons,
+        dealing_seconds=dealing,
+        folder_bytes=(dealt.folders[Path(folder, alice.name)], dealt.folders[Path(folder, bob.name)]),
+        bytes_sent=(first["bytes_sent"], second["bytes_sent"]),
+        rounds=first["rounds"],
+        milliseconds=max(first["ms"], second["ms"]),
+        clear_bytes=(alice.descriptors.nbytes, bob.descriptors.nbytes),
+        clear_milliseconds=_clear_milliseconds(alice, bob),
+        picture=str(picture),
+    )
+
+
+def _say(text: str) -> None:
+    print(f"... {text}", file=sys.stderr, flush=True)
+
+
+def _match(folder: Path, robots: tuple[places.Robot, places.Robot], threshold: float) -> list[dict[str, Any]]:
+    """Run ``python -m spdz match`` once a robot, each with its own folder only."""
+    address = f"127.0.0.1:{free_port()}"
+    processes = []
+    for robot, peer, role in ((*robots, "--listen"), (*robots[::-1], "--connect")):
+        own = folder / robot.name
+        np.save(own / "descriptors.npy", robot.descriptors)
+        command = [sys.executable, "-m", "spdz", "match", "--json", role, address]
+        command += ["--tape", str(own / f"{peer.name}.tape"), "--threshold", repr(threshold)]
+        command += ["--descriptors", str(own / "descriptors.npy"), "--state-dir", str(own / "state")]
+        if role == "--connect":
+            command.append("--quiet")
+        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+    try:
+        results = []
+        for process in processes:
+            output, _ = process.communicate(timeout=TIMEOUT)
+            answer = json.loads(output or "{}")
+            if process.returncode != 0 or "matches" not in answer:
+                raise DemoFailed(f"a robot's process failed: {answer.get('message', 'see above')}")
+            results.append(answer)
+        return results
+    except subprocess.TimeoutExpired:
+        raise DemoFailed(f"a robot's process did not finish within {TIMEOUT:.0f} s") from None
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def _clear_milliseconds(alice: places.Robot, bob: places.Robot) -> float:
+    """Time of the decision itself once Bob has Alice's descriptors in the clear."""
+    started = time.perf_counter()
+    scores = alice.descriptors @ bob.descriptors.T
+    _ = scores >= places.DEFAULT_THRESHOLD
+    return (time.perf_counter() - started) * 1e3

@@ -1,0 +1,100 @@
+"""Deal a mission: tapes for every pair of robots, and credentials for every robot.
+
+For each pair the dealer reads the program on masks once a job and writes two tapes. It is the mission's
+certificate authority as well, and forgets that key and every MAC key when it is done: it is trusted
+before the mission, and absent during it.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+
+from dealer.pki import MissionAuthority, write_credentials
+from dealer.tapes import deal_tapes
+from protocols.catalog import Purpose
+from spdz.types import Security
+
+
+@dataclass(frozen=True, slots=True)
+class Dealt:
+    """What one run of the dealer wrote.
+
+    Attributes:
+        folders: Each robot's folder and its size in bytes.
+        comparisons: Comparisons dealt for each pair.
+        jobs: Jobs for each pair.
+        pairs: Pairs of robots.
+    """
+
+    folders: dict[Path, int]
+    comparisons: int
+    jobs: int
+    pairs: int
+
+
+def deal_mission(
+    out: Path,
+    agents: Sequence[str],
+    purpose: Purpose,
+    comparisons: int,
+    security: Security = "malicious",
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Dealt:
+    """Deal tapes for every pair of robots and write one folder a robot.
+
+    Args:
+        out: Folder to create the robots' folders in; those must not exist yet.
+        agents: Two or more robot names.
+        purpose: What the tapes are for.
+        comparisons: Comparisons for each pair, rounded up to whole jobs.
+        security: The security model.
+        progress: Called with jobs done and jobs in all.
+
+    Returns:
+        What was written.
+
+    Raises:
+        ValueError: for bad names, fewer than two robots, or a count below one.
+        FileExistsError: if a robot's folder exists: dealt material is never overwritten.
+    """
+    if len(agents) < 2 or len(set(agents)) != len(agents):
+        raise ValueError("name two or more different robots")
+    if comparisons < 1:
+        raise ValueError("deal at least one comparison")
+    authority = MissionAuthority()
+    credentials = {agent: authority.credentials(agent) for agent in agents}
+    authority.forget()
+    for agent in agents:
+        if (out / agent).exists():
+            raise FileExistsError(
+                f"{out / agent} exists; dealt material is never overwritten: choose another --out"
+            )
+    for agent in agents:
+        write_credentials(out / agent, credentials[agent])
+    jobs = -(-comparisons // purpose.pairs)
+    mission = secrets.token_hex(16)
+    couples = list(combinations(agents, 2))
+    for number, couple in enumerate(couples):
+        deal_tapes(
+            (out / couple[0] / f"{couple[1]}.tape", out / couple[1] / f"{couple[0]}.tape"),
+            couple,
+            purpose.dealt_program,
+            purpose.shapes,
+            jobs,
+            security,
+            mission=mission,
+            description=purpose.as_json(),
+            progress=partial(_progress_of, progress, number * jobs, len(couples) * jobs),
+        )
+    sizes = {out / agent: sum(file.stat().st_size for file in (out / agent).iterdir()) for agent in agents}
+    return Dealt(sizes, jobs * purpose.pairs, jobs, len(couples))
+
+
+def _progress_of(report: Callable[[int, int], None], before: int, total: int, done: int) -> None:
+    report(before + done, total)

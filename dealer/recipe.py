@@ -1,0 +1,154 @@
+"""The dealer's reading: the program run on masks alone.
+
+The dealer knows the masks, never an input. Reading a program, it writes for either party exactly what
+that party will draw, in the same order (the convention is in :mod:`spdz.party`): the pads come from the
+job's two keys, so only *corrections* are written down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from dealer.randomness import MacKey, uniform_below
+from spdz import dcf, field
+from spdz.coroutine import exchange, run_silently
+from spdz.engine import Gate, Input, Recipe
+from spdz.fixed_point import FRACTION_BITS
+from spdz.meter import Plan
+from spdz.party import JobStream
+from spdz.program import Program, run
+from spdz.rings import FieldRing
+from spdz.types import Buffer, FieldArray, IntArray, Security, Shape
+from spdz.value import Value
+from spdz.wire import to_bytes
+
+_RING = FieldRing()
+
+
+class DealtJob(Recipe):
+    """One job being dealt."""
+
+    def __init__(self, security: Security, pads: tuple[JobStream, JobStream], mac_key: MacKey | None) -> None:
+        self.security, self.ring = security, _RING
+        self._pads, self._mac_key = pads, mac_key
+        self._corrections: tuple[list[Buffer], list[Buffer]] = ([], [])
+        self._unchecked = False
+
+    @property
+    def corrections(self) -> tuple[bytes, bytes]:
+        """What either party must store for this job."""
+        first, second = (b"".join(parts) for parts in self._corrections)
+        return first, second
+
+    @property
+    def has_unchecked_openings(self) -> bool:
+        """As the meter sees it."""
+        return self._unchecked
+
+    def read(self, gate: Gate, *operands: Any) -> Any:
+        """Deal a gate."""
+        return gate.deal(self, *operands)
+
+    def shared(self, x: Value) -> Value:
+        """A shared value has no mask."""
+        return Value(self, (), x.shape, x.frac, x.bound, is_bit=x.is_bit)
+
+    def plus(self, x: Value, raw: int | IntArray) -> Value:
+        """A public constant changes no mask."""
+        shape = np.broadcast_shapes(x.shape, np.shape(raw))
+        parts = tuple(_RING.broadcast(part, shape) for part in x.parts)
+        return Value(self, parts, shape, x.frac, x.bound, masked=x.masked)
+
+    def shared_value(
+        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: int, *, is_bit: bool = False
+    ) -> Value:
+        """The result of a gate: nothing that the dealer knows."""
+        return Value(self, (), shape, frac, bound, is_bit=is_bit)
+
+    def input_mask(self, source: Input) -> Value:
+        """The owner's pad is the mask."""
+        mask = self._pads[source.owner].pad(source.shape)
+        self._deal_mac(mask, stored_by=source.owner)
+        return Value(self, (mask,), source.shape, FRACTION_BITS, source.bound, masked=True)
+
+    def authenticated(
+        self, shape: Shape, make: Callable[[], FieldArray], *, count: tuple[str, int] | None = None
+    ) -> None:
+        """Party 0's share is its pad; party 1 stores the rest."""
+        value = np.broadcast_to(make(), (*shape, 2))
+        self._write(1, field.sub(value, self._pads[0].pad(shape)))
+        self._deal_mac(value, stored_by=0)
+
+    def triple(
+        self,
+        kind: str,
+        shape: Shape,
+        product_shape: Shape,
+        product: Callable[[FieldArray, FieldArray], FieldArray],
+    ) -> None:
+        """a and b are sums of both pads."""
+        factors = []
+        for _ in range(2):
+            factors.append(field.add(self._pads[0].pad(shape), self._pads[1].pad(shape)))
+            self._deal_mac(factors[-1], stored_by=0)
+        self.authenticated(product_shape, lambda: product(*factors))
+
+    def uniform_below(self, limit: int, shape: Shape) -> FieldArray:
+        """From the dealer's own generator."""
+        return uniform_below(limit, shape)
+
+    def comparison_key(
+        self, shape: Shape, bits: int, make: Callable[[], tuple[FieldArray, FieldArray]]
+    ) -> None:
+        """Both parties store the same correction words; the root seeds are pads."""
+        thresholds, payload = make()
+        columns = [payload.reshape(-1, 2)]
+        if self._mac_key is not None:
+            columns.append(field.scale(columns[0], self._mac_key.alpha))
+        roots = [pad.pad_blocks((prod(shape),)) for pad in self._pads]
+        key = dcf.generate(roots[0], roots[1], thresholds.reshape(-1, 2), np.stack(columns, axis=1), bits)
+        for party in (0, 1):
+            self._corrections[party].append(key)
+
+    async def round(self, sent: tuple[int, int]) -> None:
+        """Nobody is sent anything, but lanes must suspend where a party's do."""
+        await exchange([], 0, 0)
+
+    async def opening(self, elements: int) -> None:
+        """As :meth:`round`."""
+        self._unchecked = self.malicious
+        await exchange([], 0, 0)
+
+    def _deal_mac(self, value: FieldArray, *, stored_by: int) -> None:
+        """m_0 + m_1 = alpha v: one share is the other party's pad, ``stored_by`` stores the rest."""
+        if self._mac_key is not None:
+            pad = self._pads[1 - stored_by].pad(value.shape[:-1])
+            self._write(stored_by, field.sub(field.scale(value, self._mac_key.alpha), pad))
+
+    def _write(self, party: int, elements: FieldArray) -> None:
+        self._corrections[party].append(to_bytes(elements))
+
+
+def deal_job(
+    program: Program, plan: Plan, security: Security, keys: tuple[bytes, bytes], mac_key: MacKey | None
+) -> tuple[bytes, bytes]:
+    """Deal one job of a program.
+
+    Args:
+        program: The program.
+        plan: What the meter saw of it.
+        security: The security model.
+        keys: The two parties' pad keys for this job.
+        mac_key: The tape's MAC key, or None in semi-honest mode.
+
+    Returns:
+        Both parties' corrections.
+    """
+    pads = tuple(JobStream(key, size, b"") for key, size in zip(keys, plan.pad_bytes, strict=True))
+    job = DealtJob(security, (pads[0], pads[1]), mac_key)
+    run_silently(run(job, program, plan.inputs))
+    return job.corrections

@@ -1,0 +1,66 @@
+"""The candidate bit: is the score past the threshold? Nothing else is opened.
+
+For a similarity the bit is ``score >= threshold``, for a distance ``score <= threshold``, decided
+exactly: the threshold is rounded to the score's fixed-point grid in the direction that keeps the
+comparison with the exact score of the quantised descriptors true. The threshold is public and is no
+part of what was dealt: it may change from call to call.
+
+Cost on top of the score: one opening, one DCF key, one opened bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+from protocols.scores import Score
+from spdz import Engine, Value, nonnegative
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """The program ``[score >= threshold]`` (or ``<=`` for a distance).
+
+    Attributes:
+        score: The score function.
+        threshold: Public threshold, in the score's units.
+    """
+
+    score: Score
+    threshold: float
+
+    @property
+    def max_norm(self) -> float:
+        """The score's."""
+        return self.score.max_norm
+
+    async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
+        """One comparison of the score with the threshold."""
+        z = await self.score(engine, x, y)
+        exact = Fraction(self.threshold) * (1 << z.frac)
+        # No honest score exceeds z.bound, so that a threshold further out decides the same as bound + 1.
+        limit, bound = z.bound + 1, 2 * z.bound + 1
+        if self.score.similarity:
+            margin = z.plus_raw(-min(max(math.ceil(exact), -limit), limit))
+        else:
+            margin = (-z).plus_raw(min(max(math.floor(exact), -limit), limit))
+        return await nonnegative(margin, bound)
+
+
+def is_candidate(score: Score, threshold: float) -> Candidate:
+    """The program that reveals whether two descriptors match, and nothing else.
+
+    Args:
+        score: A score of :mod:`protocols.scores` or your own.
+        threshold: Public and finite.
+
+    Returns:
+        A program for :func:`spdz.run_local` or a networked session.
+
+    Raises:
+        ValueError: if the threshold is not finite.
+    """
+    if not math.isfinite(threshold):
+        raise ValueError("the threshold must be a finite number")
+    return Candidate(score, float(threshold))

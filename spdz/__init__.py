@@ -1,0 +1,58 @@
+"""Two-party SPDZ in Python and NumPy: two robots learn whether two descriptors match, and nothing else."""
+
+from spdz.engine import Engine
+from spdz.errors import (
+    ChannelClosed,
+    ChannelError,
+    ChannelTimeout,
+    MacCheckFailed,
+    PeerAborted,
+    ProtocolViolation,
+    SpdzError,
+    TapeDamaged,
+    TapeDestroyed,
+    TapeError,
+    TapeExhausted,
+    TapeInUse,
+    TapeMismatch,
+)
+from spdz.gates import beaver_dot, beaver_multiply, dot, multiply, nonnegative
+from spdz.local import run_clear, run_local
+from spdz.meter import Plan, measure
+from spdz.program import Program
+from spdz.session import Result, Session, open_session
+from spdz.stats import Outcome, Stats
+from spdz.value import Value
+
+__all__ = [
+    "ChannelClosed",
+    "ChannelError",
+    "ChannelTimeout",
+    "Engine",
+    "MacCheckFailed",
+    "Outcome",
+    "PeerAborted",
+    "Plan",
+    "Program",
+    "ProtocolViolation",
+    "Result",
+    "Session",
+    "SpdzError",
+    "Stats",
+    "TapeDamaged",
+    "TapeDestroyed",
+    "TapeError",
+    "TapeExhausted",
+    "TapeInUse",
+    "TapeMismatch",
+    "Value",
+    "beaver_dot",
+    "beaver_multiply",
+    "dot",
+    "measure",
+    "multiply",
+    "nonnegative",
+    "open_session",
+    "run_clear",
+    "run_local",
+]

@@ -1,0 +1,205 @@
+"""The channel between two parties: one exchange of frames at a time, in both directions at once.
+
+An exchange sends one frame and receives the peer's frame of the same kind and round. It is full duplex, so
+both sides may send any amount at the same time, and it has one deadline for everything: a peer that sends a
+byte a second does not extend it. After any error the channel is dead. A channel serves one thread.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import TypeVar
+
+from spdz.channels.frames import (
+    HEADER_BYTES,
+    MAX_CONTROL,
+    MAX_FRAME,
+    AbortReason,
+    DType,
+    FrameKind,
+    FrameReader,
+    Payload,
+    byte_views,
+    pack_abort,
+    pack_header,
+)
+from spdz.errors import ChannelClosed, ChannelTimeout, PeerAborted, SpdzError
+
+DEFAULT_TIMEOUT = 30.0
+ABORT_SECONDS = 1.0
+
+Self = TypeVar("Self", bound="Channel")
+
+
+class Channel(ABC):
+    """A connection to the peer.
+
+    Args:
+        timeout: Seconds that one exchange may take in all.
+        max_frame: Largest payload in bytes, 1 to MAX_FRAME; a security limit.
+
+    Attributes:
+        rounds: DATA and CHECK exchanges completed.
+        control_rounds: CONTROL exchanges completed.
+        bytes_sent: Bytes of the frames sent in completed exchanges, of every kind, headers included. What TCP
+            and TLS add (records, acknowledgements, the TLS handshake) is not counted.
+        bytes_received: The same for the peer's frames.
+
+    Raises:
+        ValueError: if an argument is out of range.
+    """
+
+    def __init__(self, timeout: float = DEFAULT_TIMEOUT, max_frame: int = MAX_FRAME) -> None:
+        if not (timeout > 0 and math.isfinite(timeout)):
+            raise ValueError(f"timeout must be a positive number of seconds, not {timeout!r}")
+        if not 1 <= max_frame <= MAX_FRAME:
+            raise ValueError(f"max_frame must be 1 to {MAX_FRAME} bytes, not {max_frame!r}")
+        self.rounds = self.control_rounds = 0
+        self.bytes_sent = self.bytes_received = 0
+        self._timeout = timeout
+        self._max_frame = max_frame
+        self._session = 0
+        self._death: str | None = None
+        self._closed = False
+
+    @property
+    def timeout(self) -> float:
+        """Seconds that one exchange may take in all."""
+        return self._timeout
+
+    def bind(self, session_tag: int) -> None:
+        """Mark all further frames with the tag of the session that the handshake agreed on.
+
+        Raises:
+            ValueError: if the tag is not a 32-bit unsigned integer.
+        """
+        if not 0 <= session_tag < 1 << 32:
+            raise ValueError("a session tag has 32 bits")
+        self._session = session_tag
+
+    def exchange(
+        self, kind: FrameKind, payload: Payload, expect: int | None, dtype: DType = DType.BYTES
+    ) -> memoryview:
+        """Send one frame and receive the peer's frame of the same kind and round.
+
+        Args:
+            kind: DATA, CHECK or CONTROL.
+            payload: C-contiguous buffers or arrays; their bytes, one after the other, are sent.
+            expect: Payload bytes that the peer must send; None, for CONTROL only, takes up to MAX_CONTROL.
+            dtype: What both payloads consist of.
+
+        Returns:
+            The peer's payload: writable, aligned to 8 bytes, the caller's to keep.
+
+        Raises:
+            ValueError: if the request itself is wrong; nothing was sent and the channel lives.
+            ProtocolViolation: if the peer sent any other frame.
+            PeerAborted: if the peer stopped and said why.
+            ChannelTimeout: if not everything was sent and received in time.
+            ChannelClosed: if the peer hung up, or the channel is dead or closed.
+        """
+        if self._death is not None:
+            raise ChannelClosed(self._death)
+        views = byte_views(payload)
+        size = sum(map(len, views))
+        self._check_request(kind, size, expect)
+        round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
+        header = pack_header(kind, dtype, self._session, round_, size)
+        reader = FrameReader(kind, dtype, self._session, round_, expect, min(MAX_CONTROL, self._max_frame))
+        try:
+            self._swap([memoryview(header), *views], reader, time.monotonic() + self._timeout)
+        except SpdzError as error:
+            self._die(f"this channel failed before: {error}")
+            if isinstance(error, PeerAborted):  # nothing is left to say, and the peer waits for the end
+                self.close()
+            raise
+        except BaseException:  # e.g. KeyboardInterrupt: half a frame may be out
+            self._die("an exchange on this channel was interrupted")
+            raise
+        if kind == FrameKind.CONTROL:
+            self.control_rounds += 1
+        else:
+            self.rounds += 1
+        self.bytes_sent += HEADER_BYTES + size
+        self.bytes_received += reader.received
+        return reader.payload()
+
+    def abort(self, reason: AbortReason) -> None:
+        """Tell the peer why this side stops, if that can be done within a second, and close.
+
+        Never raises. The peer is told nothing if this side stops in the middle of sending a frame.
+        """
+        if not self._closed:
+            round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
+            with contextlib.suppress(Exception):
+                self._send_last(pack_abort(reason, self._session, round_), time.monotonic() + ABORT_SECONDS)
+        self.close()
+
+    def close(self) -> None:
+        """Hang up. May be called again, and after an error."""
+        if not self._closed:
+            self._closed = True
+            self._die("this channel is closed")
+            self._hang_up()
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _die(self, why: str) -> None:
+        self._death = self._death or why
+
+    def _check_request(self, kind: FrameKind, size: int, expect: int | None) -> None:
+        if kind not in (FrameKind.DATA, FrameKind.CHECK, FrameKind.CONTROL):
+            raise ValueError("only DATA, CHECK and CONTROL frames are exchanged")
+        limit = min(MAX_CONTROL, self._max_frame) if kind == FrameKind.CONTROL else self._max_frame
+        if expect is None and kind != FrameKind.CONTROL:
+            raise ValueError(f"the length of a {kind.name} frame must be known")
+        if max(size, expect or 0) > limit:
+            raise ValueError(
+                f"a frame of {max(size, expect or 0)} bytes is above this channel's limit of {limit}: "
+                "use smaller batches"
+            )
+        if expect is not None and expect < 0:
+            raise ValueError("a frame cannot have a negative length")
+
+    @abstractmethod
+    def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
+        """Send ``frame`` and fill ``reader``, full duplex.
+
+        Args:
+            frame: The header and the payload as byte views.
+            reader: Where to put what comes.
+            deadline: ``time.monotonic()`` by when both must be done.
+
+        Raises:
+            SpdzError: nothing else but :class:`KeyboardInterrupt` and the like.
+        """
+
+    @abstractmethod
+    def _send_last(self, frame: bytes, deadline: float) -> None:
+        """Try to deliver a last frame. May raise anything."""
+
+    @abstractmethod
+    def _hang_up(self) -> None:
+        """Give the transport back. Called once."""
+
+
+def remaining(deadline: float, reader: FrameReader, seconds: float) -> float:
+    """Seconds left until ``deadline``.
+
+    Raises:
+        ChannelTimeout: if there are none.
+    """
+    left = deadline - time.monotonic()
+    if left <= 0:
+        raise ChannelTimeout(f"the peer did not finish this round within {seconds:g} s ({reader.progress()})")
+    return left

@@ -1,0 +1,51 @@
+"""The clear engine: the same protocols on plain integers.
+
+No security at all: each party sends its descriptor as it is, which is what robots do today. It is the
+baseline that the benchmark measures against, and the oracle that the tests hold the secure readings to:
+exact integer arithmetic on the quantised inputs, independent of the field kernels.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spdz.engine import ClearText, Gate
+from spdz.rings import IntegerRing
+from spdz.types import IntArray
+from spdz.value import Value
+
+_RING = IntegerRing()
+
+
+class Clear(ClearText):
+    """One party of the insecure baseline."""
+
+    def __init__(self, index: int) -> None:
+        self.index, self.ring, self.security = index, _RING, "semi-honest"
+
+    def read(self, gate: Gate, *operands: Any) -> Any:
+        """Read a gate's meaning."""
+        return gate.clear(self, *operands)
+
+    @property
+    def has_unchecked_openings(self) -> bool:
+        """There is nothing to check."""
+        return False
+
+    def shared(self, x: Value) -> Value:
+        """The same integers."""
+        return self.value(x.parts[0], x.frac, x.bound, is_bit=x.is_bit)
+
+    def plus(self, x: Value, raw: int | IntArray) -> Value:
+        """Add public integers."""
+        total = np.asarray(x.parts[0]).astype(object) + raw
+        result = self.value(total, x.frac, x.bound)
+        result.masked = x.masked
+        return result
+
+    def value(self, raw: Any, frac: int, bound: int, *, is_bit: bool = False) -> Value:
+        """Wrap integers; they count as masked too, since every gate may use them."""
+        integers = np.asarray(raw)
+        return Value(self, (integers,), integers.shape, frac, bound, masked=True, is_bit=is_bit)

@@ -1,0 +1,74 @@
+"""Every error that the engine raises on purpose, as one hierarchy.
+
+::
+
+    SpdzError
+    ├── MacCheckFailed       the peer (or somebody on the line) changed a share; the tape is destroyed
+    ├── ProtocolViolation    the peer sent something that no honest peer sends
+    ├── ChannelError         the connection could not be made or did not last
+    │   ├── ChannelTimeout   the peer did not answer within the time limit
+    │   ├── ChannelClosed    the peer hung up
+    │   └── PeerAborted      the peer stopped and said why
+    └── TapeError            something about the dealt correlations
+        ├── TapeMismatch     the two tapes, or tape and program, do not belong together
+        ├── TapeExhausted    every dealt job has been used
+        ├── TapeDamaged      a checksum does not hold: the file was damaged
+        ├── TapeInUse        another process has the tape open
+        └── TapeDestroyed    the tape was wiped after a failed MAC check
+
+Bad *local* input (not finite, wrong shape, out of range) is a plain :class:`ValueError`, raised before
+anything is consumed or sent. After any ``SpdzError`` the session is dead: nothing is output, and what
+was reserved stays burnt.
+"""
+
+
+class SpdzError(Exception):
+    """Base of all errors raised on purpose by this package."""
+
+
+class MacCheckFailed(SpdzError):
+    """An opened value does not carry a valid MAC. Nothing was output and the tape is destroyed."""
+
+
+class ProtocolViolation(SpdzError):
+    """The peer sent a frame that no honest peer sends at this point."""
+
+
+class ChannelError(SpdzError):
+    """The connection to the peer could not be made or did not last."""
+
+
+class ChannelTimeout(ChannelError):
+    """The peer did not answer within the time limit."""
+
+
+class ChannelClosed(ChannelError):
+    """The peer closed the connection."""
+
+
+class PeerAborted(ChannelError):
+    """The peer stopped and gave a reason."""
+
+
+class TapeError(SpdzError):
+    """Something is wrong with a tape of dealt correlations."""
+
+
+class TapeMismatch(TapeError):
+    """Two tapes, or a tape and a program, do not belong together."""
+
+
+class TapeExhausted(TapeError):
+    """Every job on the tape has been used."""
+
+
+class TapeDamaged(TapeError):
+    """A checksum of the tape file does not hold."""
+
+
+class TapeInUse(TapeError):
+    """Another process has the tape open."""
+
+
+class TapeDestroyed(TapeError):
+    """The tape was wiped after a failed MAC check and cannot be used again."""

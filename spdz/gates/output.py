@@ -1,0 +1,60 @@
+"""Output: the only way out of the engine, behind a MAC check on either side.
+
+Steps (malicious): 1. check everything opened so far; 2. open the result; 3. check the result. Nothing is
+returned before step 3 has passed, so a session that has not checked cannot output. Cost: one round, and
+one more a check (the first is skipped where nothing but masked inputs has been opened). Semi-honest:
+step 2 alone.
+"""
+
+from __future__ import annotations
+
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from spdz import field
+from spdz.coroutine import check
+from spdz.engine import ClearText, Engine, Evaluation, Gate, Recipe
+from spdz.errors import ProtocolViolation
+from spdz.fixed_point import decode
+from spdz.value import Value
+
+
+class Output(Gate):
+    """Operand: one value. The result is what the user gets: numbers or booleans."""
+
+    async def deal(self, recipe: Recipe, z: Value) -> None:
+        """Nothing is dealt; the meter sees the rounds."""
+        if recipe.has_unchecked_openings:
+            await check()
+        await recipe.opening(prod(z.shape))
+        if recipe.malicious:
+            await check()
+
+    async def evaluate(self, party: Evaluation, z: Value) -> Any:
+        """Steps 1 to 3."""
+        if party.has_unchecked_openings:
+            await check()
+        (opened,) = await party.open(party.shared(z))
+        if party.malicious:
+            await check()
+        return _decode(field.centered(opened), z)
+
+    async def clear(self, engine: ClearText, z: Value) -> Any:
+        """Decode the integers."""
+        return _decode(z.parts[0], z)
+
+
+def _decode(raw: Any, z: Value) -> Any:
+    integers = np.asarray(raw, dtype=object)
+    if not z.is_bit:
+        return decode(integers if integers.ndim else integers.item(), z.frac)
+    if not all(bit in (0, 1) for bit in integers.flat):
+        raise ProtocolViolation("an opened bit is neither 0 nor 1: the peer's input was out of range")
+    return integers.astype(np.bool_) if integers.ndim else bool(integers.item())
+
+
+async def output(engine: Engine, z: Value) -> Any:
+    """Open z to both parties and return it decoded: float(s), or bool(s) for bits."""
+    return await engine.read(Output(), z)

@@ -1,0 +1,143 @@
+"""Products of masked values: one dealt correction each, no communication.
+
+For masked ``<x> = (eps_x, [[r_x]])`` and ``<y>``::
+
+    [[x y]] = eps_x eps_y + eps_x [[r_y]] + eps_y [[r_x]] + [[r_x r_y]]
+
+and the same for every bilinear contraction: the dot product (one dealt scalar however long the vectors)
+and the elementwise product. Source: Beaver, CRYPTO 1991, with the masks dealt for the known function as
+in Ben-Efraim, Nielsen, Omri, "Turbospeedz", ACNS 2019. Secure against malicious parties: everything here
+is local and under MAC.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from spdz import field, inner_product
+from spdz.engine import ClearText, Evaluation, Gate, Recipe, Share
+from spdz.types import BigIntArray, FieldArray, Shape
+from spdz.value import Value
+
+
+@dataclass(frozen=True, slots=True)
+class Contraction:
+    """A bilinear map on field arrays, on integers, and on shapes."""
+
+    kind: str
+    product: Callable[[Any, Any], FieldArray]
+    clear_product: Callable[[Any, Any], BigIntArray]
+    shape: Callable[[Shape, Shape], Shape]
+    prepare: Callable[[FieldArray], Any]
+
+
+def _dot_shape(x: Shape, y: Shape) -> Shape:
+    if not x or not y or x[-1] != y[-1]:
+        raise ValueError(f"dot needs last axes of equal length, got shapes {x} and {y}")
+    return np.broadcast_shapes(x[:-1], y[:-1])
+
+
+def _clear_dot(x: BigIntArray, y: BigIntArray) -> BigIntArray:
+    """Exact integer dot product over the last axis.
+
+    int64 inputs are split at 20 bits: with |x| < 2^40 each partial product stays below 2^40, and a sum of
+    up to 2^22 of them below 2^62.
+    """
+    if x.dtype == object or y.dtype == object or x.shape[-1] > 1 << 22:
+        return np.asarray((x.astype(object) * y).sum(axis=-1), dtype=object)
+    mask = (1 << 20) - 1
+    (x0, x1), (y0, y1) = (x & mask, x >> 20), (y & mask, y >> 20)
+    partial = [np.asarray((a * b).sum(axis=-1)).astype(object) for a in (x0, x1) for b in (y0, y1)]
+    return np.asarray(partial[0] + (partial[1] + partial[2]) * (1 << 20) + partial[3] * (1 << 40))
+
+
+DOT = Contraction("dot product", inner_product.dot, _clear_dot, _dot_shape, inner_product.limbs)
+ELEMENTWISE = Contraction(
+    "product",
+    field.mul,
+    lambda x, y: np.asarray(x.astype(object) * y),
+    lambda x, y: np.broadcast_shapes(x, y),
+    lambda a: a,
+)
+
+
+def masked_product(party: Evaluation, by: Contraction, x: Value, y: Value, correction: Share) -> Share:
+    """The formula of the module's docstring on one party's parts; returns its shares of the product."""
+    eps_x, eps_y = by.prepare(x.parts[0]), by.prepare(y.parts[0])
+
+    def cross(i: int) -> FieldArray | None:
+        """``eps_x * y_i + eps_y * x_i`` for part i of both."""
+        x_i, y_i = x.parts[i], y.parts[i]
+        if x is y:
+            return None if x_i is None else field.scale(by.product(eps_x, x_i), 2)
+        left = None if y_i is None else by.product(eps_x, y_i)
+        right = None if x_i is None else by.product(eps_y, x_i)
+        return left if right is None else right if left is None else field.add(left, right)
+
+    value, mac = correction
+    public = by.product(eps_x, eps_y) if party.index == 0 or party.alpha is not None else None
+    terms = [cross(1), public if party.index == 0 else None]
+    for term in terms:
+        value = value if term is None else field.add(value, term)
+    if mac is not None and public is not None and party.alpha is not None:
+        mac = field.add(mac, field.scale(public, party.alpha))
+        mac_cross = cross(2)
+        mac = mac if mac_cross is None else field.add(mac, mac_cross)
+    return value, mac
+
+
+@dataclass(frozen=True, slots=True)
+class Product(Gate):
+    """Operands: two masked values."""
+
+    by: Contraction
+
+    def _result(self, x: Value, y: Value) -> tuple[Shape, int, int]:
+        if not (x.masked and y.masked):
+            raise TypeError("a product needs masked values; a computed value must be masked again first")
+        return self.by.shape(x.shape, y.shape), x.frac + y.frac, x.bound * y.bound
+
+    def deal(self, recipe: Recipe, x: Value, y: Value) -> Value:
+        """Deal [[r_x r_y]]."""
+        shape, frac, bound = self._result(x, y)
+        recipe.authenticated(
+            shape, lambda: self.by.product(x.parts[0], y.parts[0]), count=(self.by.kind, prod(shape))
+        )
+        return recipe.shared_value(self.by.kind, (x, y), shape, frac, bound)
+
+    def evaluate(self, party: Evaluation, x: Value, y: Value) -> Value:
+        """One local contraction a term."""
+        shape, frac, bound = self._result(x, y)
+        correction = party.authenticated(shape, count=(self.by.kind, prod(shape)))
+        value, mac = masked_product(party, self.by, x, y, correction)
+        return Value(party, (value, mac) if party.malicious else (value,), shape, frac, bound)
+
+    def clear(self, engine: ClearText, x: Value, y: Value) -> Value:
+        """The product itself."""
+        product = self.by.clear_product(x.parts[0], y.parts[0])
+        return engine.value(product, x.frac + y.frac, x.bound * y.bound)
+
+
+def dot(x: Value, y: Value) -> Value:
+    """Dot product over the last axis; leading axes broadcast, so (m, 1, N) and (1, k, N) give (m, k).
+
+    Args:
+        x: Masked value of shape S + (N,).
+        y: Masked value of shape T + (N,).
+
+    Returns:
+        ``[[x . y]]`` with the fractional bits of both added up, exact.
+    """
+    result: Value = x.engine.read(Product(DOT), x, y)
+    return result
+
+
+def multiply(x: Value, y: Value) -> Value:
+    """Elementwise product of two masked values, exact, with the fractional bits of both added up."""
+    result: Value = x.engine.read(Product(ELEMENTWISE), x, y)
+    return result

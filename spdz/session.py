@@ -1,0 +1,353 @@
+"""A networked party: one tape, one connection, plain blocking calls.
+
+::
+
+    with open_session("mission/alice/bob.tape", listen="0.0.0.0:9000") as session:
+        outcome = session.run(program, descriptor)
+
+A session is a state machine with one way out: after any error it is dead, its connection closed, and what
+it had reserved stays burnt. After a failed MAC check its tape is destroyed as well.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy.typing as npt
+
+from spdz.channels import AbortReason, Channel, FrameKind, tcp, tls
+from spdz.coroutine import parallel
+from spdz.driver import run_channel
+from spdz.errors import (
+    ChannelClosed,
+    ChannelTimeout,
+    MacCheckFailed,
+    PeerAborted,
+    ProtocolViolation,
+    TapeError,
+    TapeExhausted,
+    TapeMismatch,
+)
+from spdz.handshake import Hello, canonical, compare, read_object, session_id
+from spdz.mac_check import MacCheck, drive
+from spdz.meter import Plan, measure
+from spdz.party import JobStream, Party
+from spdz.program import Program, declare, quantise, run
+from spdz.stats import Stats
+from spdz.tape import Job, Tape
+from spdz.types import IntArray, Json, Shape
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What one run of a session returns.
+
+    Attributes:
+        value: The opened result of each job, or of the single one.
+        stats: This party's cost.
+    """
+
+    value: Any
+    stats: Stats
+
+
+class Session:
+    """One party of a pair, connected to the other.
+
+    Args:
+        tape: This party's tape, open; the session closes it.
+        channel: A connected channel; the session closes it.
+
+    Raises:
+        TapeMismatch: if the peer's tape does not belong to this one, saying why.
+        ProtocolViolation: if the peer's greeting is malformed.
+    """
+
+    def __init__(self, tape: Tape, channel: Channel) -> None:
+        self._tape, self._channel = tape, channel
+        self._dead: str | None = None
+        self._reserved: list[Job] = []
+        self._plans: dict[int, tuple[Program, Plan]] = {}
+        self._agreed: tuple[str, str] | None = None
+        self._mac_check: MacCheck | None = None
+        self._id = b""
+        with self._guard():
+            own = Hello.of(tape)
+            peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
+            compare(tape.header, peer)
+            tape.resume(peer.cursor)
+            self._id = session_id(own, peer)
+            self._channel.bind(int.from_bytes(self._id[:4], "little"))
+
+    def __repr__(self) -> str:
+        state = f"dead ({self._dead})" if self._dead else f"{self.remaining} jobs left"
+        return f"<session of {self.header.name} with {self.header.peer}: {state}>"
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def header(self) -> Any:
+        """The tape's header."""
+        return self._tape.header
+
+    @property
+    def party(self) -> int:
+        """0 or 1."""
+        return int(self._tape.header.party)
+
+    @property
+    def rolled_back(self) -> bool:
+        """Whether the tape file was an older copy of itself (its used part was skipped)."""
+        return self._tape.rolled_back
+
+    @property
+    def remaining(self) -> int:
+        """Jobs that can still be run."""
+        return len(self._reserved) + self._tape.remaining
+
+    @property
+    def shapes(self) -> tuple[Shape, Shape]:
+        """Input shapes of both parties in one job."""
+        first, second = self._tape.header.program["shapes"]
+        return tuple(first), tuple(second)
+
+    # -- running -------------------------------------------------------------------------------------
+
+    def reserve(self, jobs: int) -> None:
+        """Read so many jobs ahead and mark them used, durably, in one go.
+
+        What is reserved and not run when the session ends is lost. Without a call, every run reserves
+        what it needs, at the price of a disk flush.
+
+        Raises:
+            TapeExhausted: if fewer jobs are left; nothing is consumed.
+        """
+        with self._guard():
+            self._reserved += self._tape.reserve(jobs)
+
+    def run(self, program: Program, data: npt.ArrayLike) -> Result:
+        """Run one job on this party's input.
+
+        Args:
+            program: The program that the tapes were dealt for (thresholds may differ).
+            data: This party's input, of the shape that one job takes.
+
+        Raises:
+            ValueError: for bad input; nothing is consumed and the session lives on.
+            TapeMismatch: if the tape was dealt for another program, or the peer runs another one.
+            TapeExhausted: if no job is left.
+            MacCheckFailed: if the peer cheated; nothing is output and the tape is destroyed.
+            ChannelError: if the connection fails.
+        """
+        result = self.run_many(program, [data])
+        return Result(result.value[0], result.stats)
+
+    def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
+        """Run several jobs in the same rounds; the result's value is a list."""
+        self._require_alive()
+        plan = self._plan(program)
+        inputs = [self._quantise(program, one) for one in data]
+        with self._guard():
+            self._agree_on(plan, program, len(inputs))
+            if len(inputs) > len(self._reserved):
+                self._reserved += self._tape.reserve(len(inputs) - len(self._reserved))
+            jobs, self._reserved = self._reserved[: len(inputs)], self._reserved[len(inputs) :]
+            stats = Stats()
+            lanes = [self._lane(program, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)]
+            values = run_channel(drive(_all(lanes), self._mac_check), self._channel, stats)
+        return Result(values, stats)
+
+    def check_input(self, program: Program, data: npt.ArrayLike) -> None:
+        """Check values and range of any number of inputs, consuming nothing; raises ValueError."""
+        quantise(program, data, "descriptors")
+
+    def exchange_note(self, note: Json) -> dict[str, Any]:
+        """Swap one small public JSON object with the peer, such as how many descriptors there are."""
+        with self._guard():
+            return self._control({"note": note}, "note")
+
+    # -- the parts of a run --------------------------------------------------------------------------
+
+    def _plan(self, program: Program) -> Plan:
+        """The meter's plan, held against the tape."""
+        known = self._plans.get(id(program))
+        if known is not None and known[0] is program:
+            return known[1]
+        header = self._tape.header
+        plan = measure(program, self.shapes, header.security)
+        if plan.recipe != header.fingerprint:
+            raise TapeMismatch(
+                f"this tape was dealt for {_describe(header.program)}, which is not the program given; "
+                "deal tapes for it, or run the program that the tapes were dealt for"
+            )
+        self._plans[id(program)] = (program, plan)
+        return plan
+
+    def _quantise(self, program: Program, data: npt.ArrayLike) -> IntArray:
+        raw = quantise(program, data, "input")
+        expected = self.shapes[self.party]
+        if raw.shape != expected:
+            raise ValueError(f"a job of this tape takes an input of shape {expected}, got {raw.shape}")
+        return raw
+
+    def _agree_on(self, plan: Plan, program: Program, jobs: int) -> None:
+        """Agree on the program with its public constants, whenever they change."""
+        call = (plan.text, str(jobs))
+        if call == self._agreed:
+            return
+        title = repr(program)[:120]
+        peer = self._control({"text": plan.text, "jobs": jobs, "title": title}, "text", "jobs", "title")
+        if (peer["text"], str(peer["jobs"])) != call:
+            theirs = "".join(c for c in str(peer["title"])[:120] if c.isprintable())
+            raise TapeMismatch(
+                f"the peer runs something else: {jobs} x {title} here, {str(peer['jobs'])[:8]} x {theirs} "
+                "there; give both robots the same threshold and program"
+            )
+        self._agreed = call
+        self._id = hashlib.sha256(b"spdz call" + self._id + canonical({"call": call})).digest()
+        alpha = self._alpha
+        if alpha is not None:
+            self._mac_check = MacCheck(alpha, self.party, self._id)
+
+    def _control(self, message: dict[str, Json], *keys: str) -> dict[str, Any]:
+        reply = self._channel.exchange(FrameKind.CONTROL, [canonical(message)], None)
+        fields = read_object(bytes(reply))
+        if set(fields) != set(keys):
+            raise TapeMismatch(
+                "the peer is at another step: both robots must make the same calls in the same order"
+            )
+        return fields if len(keys) > 1 else dict(fields[keys[0]])
+
+    @property
+    def _alpha(self) -> int | None:
+        return int.from_bytes(self._tape.alpha, "little") if self.header.security == "malicious" else None
+
+    def _lane(self, program: Program, job: Job, raw: IntArray, stats: Stats) -> Any:
+        header = self._tape.header
+        stream = JobStream(job.key, header.pad_bytes, job.correction)
+        party = Party(self.party, header.security, stream, self._mac_check, self._alpha, stats)
+        return run(party, program, declare(program, self.shapes, {self.party: raw}))
+
+    # -- ending --------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Close connection and tape; safe to call twice."""
+        if self._dead is None:
+            self._dead = "closed"
+        self._channel.close()
+        self._tape.close()
+
+    def _require_alive(self) -> None:
+        if self._dead is not None:
+            raise ChannelClosed(f"this session has ended ({self._dead}); open a new one")
+
+    def _guard(self) -> _Guard:
+        self._require_alive()
+        return _Guard(self)
+
+    def _die(self, error: BaseException) -> None:
+        """Tell the peer why, close everything, and destroy the tape if the peer cheated."""
+        self._dead = type(error).__name__
+        if isinstance(error, MacCheckFailed):
+            self._tape.destroy()
+        if not isinstance(error, PeerAborted):
+            self._channel.abort(_reason(error))
+        self.close()
+
+
+class _Guard:
+    """Whatever goes wrong inside kills the session."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._session._die(error)
+
+
+async def _all(lanes: Sequence[Any]) -> list[Any]:
+    return [await lanes[0]] if len(lanes) == 1 else await parallel(*lanes)
+
+
+def _reason(error: BaseException) -> AbortReason:
+    """What the peer is told, from a fixed list; the first match counts."""
+    for kind, reason in (
+        (MacCheckFailed, AbortReason.MAC_CHECK_FAILED),
+        (ProtocolViolation, AbortReason.PROTOCOL_VIOLATION),
+        (TapeMismatch, AbortReason.TAPE_MISMATCH),
+        (TapeExhausted, AbortReason.TAPE_EXHAUSTED),
+        (TapeError, AbortReason.TAPE_UNUSABLE),
+        (ChannelTimeout, AbortReason.TIMEOUT),
+        (KeyboardInterrupt, AbortReason.STOPPED),
+    ):
+        if isinstance(error, kind):
+            return reason
+    return AbortReason.LOCAL_ERROR
+
+
+def _describe(program: Any) -> str:
+    return ", ".join(f"{name} {value}" for name, value in sorted(program.items()) if name != "shapes")
+
+
+def open_session(
+    tape: str | Path,
+    *,
+    listen: str | None = None,
+    connect: str | None = None,
+    credentials: str | Path | None = None,
+    insecure: bool = False,
+    wait: float = 60.0,
+    timeout: float = 30.0,
+    state_dir: str | Path | None = None,
+) -> Session:
+    """Open a tape and connect to the peer that it was dealt for, over mutually authenticated TLS 1.3.
+
+    Args:
+        tape: This robot's tape for that peer.
+        listen: ``"host:port"`` to accept the peer at; or
+        connect: ``"host:port"`` to reach it at. Exactly one of the two.
+        credentials: Folder of ca.pem, cert.pem and key.pem; the tape's folder if not given.
+        insecure: Plain TCP without encryption or authentication, for closed test networks only.
+        wait: Seconds to wait for the peer to appear.
+        timeout: Seconds that one round may take.
+        state_dir: Where the second record of what was used is kept (default: the user's state folder).
+
+    Raises:
+        ValueError: unless exactly one of ``listen`` and ``connect`` is given.
+        TapeError: if the tape is damaged, in use, destroyed, or does not match the peer's.
+        ChannelError: if there is no connection within ``wait`` seconds, or the peer is not who it
+            should be.
+    """
+    if (listen is None) == (connect is None):
+        raise ValueError("give exactly one of listen= and connect=")
+    path = Path(tape)
+    opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
+    try:
+        own = path.parent if credentials is None else Path(credentials)
+        if insecure:
+            reach = tcp.connect if listen is None else tcp.listen
+            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait)
+        else:
+            meet = tls.connect if listen is None else tls.listen
+            channel = meet(listen or connect or "", own, opened.header.peer, timeout=timeout, wait=wait)
+    except BaseException:
+        opened.close()
+        raise
+    return Session(opened, channel)

@@ -1,0 +1,150 @@
+"""Writing a tape: the dealer's side of :mod:`spdz.tape`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from spdz.durable import create_private, make_private_folder, partial_name, sync, sync_folder
+from spdz.tape_format import CHUNK, SECTOR, Layout, TapeHeader, encode_header
+from spdz.tape_state import State, encode_slot
+from spdz.types import Buffer
+
+_BUFFER = 1 << 18
+
+
+class TapeWriter:
+    """Writes one tape, front to back, under a temporary name that becomes the real one when it is whole.
+
+    A context manager: leaving it normally closes the tape, leaving it by an error removes what was written.
+
+    Args:
+        path: The tape to make; its folder is created with mode 0700 if missing. Mode 0600.
+        header: What it is for.
+        chain: The ratchet's 32 random bytes for job 0.
+        alpha: This party's share of the MAC key, 16 bytes; any in semi-honest mode.
+
+    Raises:
+        FileExistsError: There is a file of that name. A dealt tape is never overwritten.
+        ValueError: ``chain`` or ``alpha`` has the wrong length, or the header is too long.
+        OSError: The file cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], header: TapeHeader, chain: bytes, alpha: bytes) -> None:
+        if len(chain) != 32 or len(alpha) != 16:
+            raise ValueError(f"chain takes 32 bytes and alpha 16, not {len(chain)} and {len(alpha)}")
+        self._path = Path(path)
+        self._header = header
+        encoded = encode_header(header)
+        self._layout = Layout.of(header, encoded)
+        self._checksums = bytearray()
+        self._appended = 0
+        self._refuse_to_overwrite()
+        make_private_folder(self._path.parent)
+        self._partial = partial_name(self._path)
+        self._file: BinaryIO | None = os.fdopen(create_private(self._partial), "wb", _BUFFER)
+        self._size = 0
+        try:
+            self._write(encoded.ljust(self._layout.slots, b"\0"))
+            self._write(encode_slot(State(0, chain, alpha), 1, self._layout.digest))
+            self._write(bytes(SECTOR))
+        except BaseException:
+            self.discard()
+            raise
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes of the tape so far; its file's size once closed."""
+        return self._size
+
+    def append(self, correction: Buffer) -> None:
+        """Add the next job's correction.
+
+        Raises:
+            ValueError: It is not exactly ``correction_bytes`` long, the tape is full, or closed.
+            OSError: The file cannot be written.
+        """
+        view = memoryview(correction)
+        if self._file is None:
+            raise ValueError(f"{self._path}: the tape is closed")
+        if self._appended == self._header.jobs:
+            raise ValueError(f"{self._path}: all {self._header.jobs} jobs are written")
+        if view.nbytes != self._header.correction_bytes:
+            raise ValueError(
+                f"{self._path}: a correction takes {self._header.correction_bytes} bytes, not {view.nbytes}"
+            )
+        if view.nbytes:
+            view = view.cast("B")
+            self._write(view)
+            self._write(bytes(self._layout.stride - view.nbytes))
+            first = self._appended * self._layout.chunks
+            for k in range(self._layout.chunks):
+                chunk = view[k * CHUNK : (k + 1) * CHUNK]
+                self._checksums += self._layout.checksum(chunk, first + k).to_bytes(4, "little")
+        self._appended += 1
+
+    def close(self) -> None:
+        """Write the checksums, make the file durable and give it its name. A second call does nothing.
+
+        Raises:
+            ValueError: Fewer jobs were appended than the header says; nothing is left behind.
+            FileExistsError: Somebody else made a file of that name meanwhile.
+            OSError: The file cannot be written.
+        """
+        if self._file is None:
+            return
+        try:
+            if self._appended != self._header.jobs:
+                raise ValueError(
+                    f"{self._path}: {self._appended} jobs were written instead of {self._header.jobs}"
+                )
+            self._write(self._checksums)
+            self._file.flush()
+            sync(self._file.fileno())
+            self._publish()
+        finally:
+            self.discard()
+        sync_folder(self._path.parent)
+
+    def discard(self) -> None:
+        """Remove the unfinished file; a finished tape stays."""
+        if self._file is not None:
+            file, self._file = self._file, None
+            try:
+                file.close()
+            finally:
+                self._partial.unlink(missing_ok=True)
+
+    def __enter__(self) -> TapeWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.discard()
+
+    def _write(self, data: Buffer) -> None:
+        if self._file is not None:
+            self._size += self._file.write(data)
+
+    def _publish(self) -> None:
+        """Give the file its real name: a hard link, because that never replaces a file as a rename does."""
+        try:
+            os.link(self._partial, self._path)
+        except FileExistsError:
+            self._refuse_to_overwrite()
+            raise
+        except OSError:  # no hard links (FAT, some network file systems)
+            self._refuse_to_overwrite()
+            self._partial.rename(self._path)
+
+    def _refuse_to_overwrite(self) -> None:
+        if os.path.lexists(self._path):
+            raise FileExistsError(
+                f"{self._path} exists: a dealt tape is never overwritten. Choose another folder"
+            )

@@ -1,0 +1,203 @@
+"""Values: what a protocol computes with, in every reading.
+
+A value is a tuple of *parts* on which every linear map acts alike, so addition, subtraction, scaling by
+public numbers, sums and reshaping are written once for all readings and cost no communication:
+
+=========  =============================  ==============================
+reading    masked value ``<x>``           shared value ``[[z]]``
+=========  =============================  ==============================
+party      ``(eps, share of r, MAC)``     ``(share of z, MAC)``
+dealer     ``(r,)``                       ``()``
+meter      ``(symbol,)``                  ``(symbol,)``
+clear      ``(x,)``                       ``(z,)``
+=========  =============================  ==============================
+
+A masked value is ``x = eps + r`` with ``eps`` public; products of masked values need one dealt
+correction each and no round. A part that is ``None`` is zero everywhere (a party holds nothing of the
+other party's input mask; semi-honest runs have no MAC).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from math import isqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spdz.fixed_point import FRACTION_BITS
+from spdz.types import IntArray, Shape
+
+if TYPE_CHECKING:
+    from spdz.engine import Engine
+
+
+class Value:
+    """A secret array that a protocol computes with.
+
+    Attributes:
+        engine: The reading that the value belongs to.
+        parts: What the reading holds of it (see the module's table).
+        shape: Shape of the array.
+        frac: Fractional bits; the raw integer is the number times ``2**frac``.
+        bound: No honest run exceeds it: the largest L2 norm along the last axis, in raw units. It bounds
+            every entry as well, and is public.
+        masked: True for ``<x>``, False for ``[[z]]``.
+        is_bit: True if the entries are 0 or 1.
+        plain: The owner's own raw input, where this value is one (int64); else None.
+    """
+
+    __slots__ = ("bound", "engine", "frac", "is_bit", "masked", "parts", "plain", "shape")
+    __array_priority__ = 1000  # NumPy leaves `array + value` to us
+    __array_ufunc__ = None
+
+    def __init__(
+        self,
+        engine: Engine,
+        parts: tuple[Any, ...],
+        shape: Shape,
+        frac: int,
+        bound: int,
+        *,
+        masked: bool = False,
+        is_bit: bool = False,
+        plain: IntArray | None = None,
+    ) -> None:
+        self.engine, self.parts, self.shape = engine, parts, shape
+        self.frac, self.bound = frac, bound
+        self.masked, self.is_bit, self.plain = masked, is_bit, plain
+
+    def __repr__(self) -> str:
+        kind = "masked" if self.masked else "shared"
+        return f"<{kind} value of shape {self.shape} with {self.frac} fractional bits>"
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
+
+    # -- linear maps ---------------------------------------------------------------------------------
+
+    def __add__(self, other: Value | npt.ArrayLike) -> Value:
+        if isinstance(other, Value):
+            return self._combine(other, self.engine.ring.add, lambda q: q)
+        return self.plus_raw(_raw(other, self.frac))
+
+    def __sub__(self, other: Value | npt.ArrayLike) -> Value:
+        if isinstance(other, Value):
+            return self._combine(other, self.engine.ring.sub, self.engine.ring.neg)
+        return self.plus_raw(-_raw(other, self.frac))
+
+    def __radd__(self, other: npt.ArrayLike) -> Value:
+        return self + other
+
+    def __rsub__(self, other: npt.ArrayLike) -> Value:
+        return -self + other
+
+    def __neg__(self) -> Value:
+        return self._map(self.engine.ring.neg, self.shape, self.bound)
+
+    def __mul__(self, factor: npt.ArrayLike) -> Value:
+        """Product with public numbers: integers scale exactly, reals are rounded to 16 fractional bits."""
+        if isinstance(factor, Value):
+            raise TypeError("use spdz.multiply or spdz.dot for the product of two secret values")
+        numbers = np.asarray(factor)
+        exact = numbers.dtype.kind in "iu"
+        raw = _raw(factor, 0 if exact else FRACTION_BITS)
+        scaled = self._map(
+            lambda part: self.engine.ring.scale(part, raw),
+            np.broadcast_shapes(self.shape, numbers.shape),
+            self.bound * _largest(raw) * (1 if numbers.ndim == 0 else isqrt(numbers.size) + 1),
+        )
+        scaled.frac = self.frac + (0 if exact else FRACTION_BITS)
+        return scaled
+
+    __rmul__ = __mul__
+
+    def plus_raw(self, raw: int | IntArray) -> Value:
+        """Add public raw integers (in units of ``2**-frac``)."""
+        result = self.engine.plus(self, raw)
+        result.bound = self.bound + _largest(raw)
+        return result
+
+    def sum(self, axis: int = -1) -> Value:
+        """Sum over one axis."""
+        axis = range(self.ndim)[axis]
+        length = self.shape[axis]
+        growth = isqrt(length - 1) + 1 if axis == self.ndim - 1 else length  # Cauchy-Schwarz: sqrt(n) |x|
+        shape = self.shape[:axis] + self.shape[axis + 1 :]
+        return self._map(lambda part: self.engine.ring.sum(part, axis), shape, self.bound * growth)
+
+    def reshape(self, *shape: int) -> Value:
+        """The same entries in another shape (the bound is kept: it must still bound the last axis)."""
+        if self.shape and shape[-1:] != self.shape[-1:]:
+            raise ValueError("reshape must keep the last axis, along which the norm is bounded")
+        full = np.empty(self.shape, dtype=np.bool_).reshape(shape).shape
+        result = self._map(lambda part: self.engine.ring.reshape(part, full), full, self.bound)
+        result.is_bit = self.is_bit
+        return result
+
+    def __getitem__(self, key: Any) -> Value:
+        keys = key if isinstance(key, tuple) else (key,)
+        shape = np.broadcast_to(np.False_, self.shape)[keys].shape
+        result = self._map(lambda part: self.engine.ring.index(part, keys), shape, self.bound)
+        result.is_bit = self.is_bit
+        return result
+
+    # -- how a linear map acts on the parts ----------------------------------------------------------
+
+    def _map(self, linear: Callable[[Any], Any], shape: Shape, bound: int) -> Value:
+        ring = self.engine.ring
+        parts = tuple(p if p is None else linear(ring.broadcast(p, self.shape)) for p in self.parts)
+        return Value(self.engine, parts, shape, self.frac, bound, masked=self.masked)
+
+    def _combine(self, other: Value, both: Callable[[Any, Any], Any], alone: Callable[[Any], Any]) -> Value:
+        """Add or subtract; ``alone`` is what becomes of the second operand when the first is zero."""
+        if other.engine is not self.engine:
+            raise ValueError("the two values belong to different runs")
+        x, y = _same_scale(self, other)
+        if x.masked != y.masked:
+            x, y = x.engine.shared(x), y.engine.shared(y)
+        shape = np.broadcast_shapes(x.shape, y.shape)
+        parts = []
+        for p, q in zip(x.parts, y.parts, strict=True):
+            if p is None or q is None:
+                lone = p if q is None else alone(q)
+                parts.append(lone if lone is None else x.engine.ring.broadcast(lone, shape))
+            else:
+                parts.append(both(p, q))
+        return Value(x.engine, tuple(parts), shape, x.frac, x.bound + y.bound, masked=x.masked)
+
+
+def _same_scale(x: Value, y: Value) -> tuple[Value, Value]:
+    """Give two values the same number of fractional bits, exactly, by scaling the coarser one."""
+    if x.frac < y.frac:
+        finer = x * (1 << (y.frac - x.frac))
+        finer.frac = y.frac
+        return finer, y
+    if y.frac < x.frac:
+        coarse, fine = _same_scale(y, x)
+        return fine, coarse
+    return x, y
+
+
+def _largest(raw: int | IntArray) -> int:
+    """Largest magnitude of public raw integers."""
+    return abs(raw) if isinstance(raw, int) else int(np.abs(raw).max(initial=0))
+
+
+def _raw(number: npt.ArrayLike, frac: int) -> Any:
+    """Round public numbers to raw integers: a Python int for a scalar, else an int64 array."""
+    if isinstance(number, (int, float, np.integer, np.floating)):
+        if not np.isfinite(number):
+            raise ValueError("a public number must be finite")
+        return round(Fraction(number.item() if isinstance(number, np.generic) else number) * (1 << frac))
+    numbers = np.asarray(number)
+    if numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+        raise ValueError("public numbers must be real and finite")
+    scaled = np.rint(numbers.astype(np.float64) * float(1 << frac))
+    if np.abs(scaled).max(initial=0.0) >= 2.0**53:
+        raise ValueError(f"public array entries must be below 2^{53 - frac} to be exact")
+    return scaled.astype(np.int64)

@@ -1,0 +1,8 @@
+"""Shared set-up: nothing that a test opens touches the user's own state folder."""
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def _own_state_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "xdg-state"))

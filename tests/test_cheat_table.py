@@ -1,0 +1,123 @@
+"""Every round of every protocol, tampered with by or towards either party: the exact error.
+
+The table is party x round x tamper. In malicious mode a changed frame is caught before anything is
+output, whichever bit it is; what differs is only by whom and by which name.
+"""
+
+import numpy as np
+import pytest
+
+from protocols import is_candidate
+from protocols.scores import S6, S10
+from protocols.textbook import dot_with_scalar_triples, dot_with_vector_triple
+from spdz import MacCheckFailed, ProtocolViolation, measure, run_local
+
+X, Y = np.array([0.6, -0.8, 0.0]), np.array([0.0, 1.0, -0.25])
+PROGRAMS = {
+    "S6": S6,
+    "S10": S10,
+    "S6 candidate": is_candidate(S6, 1.5),
+    "S10 candidate": is_candidate(S10, 0.5),
+    "textbook vector triple": dot_with_vector_triple,
+    "textbook scalar triples": dot_with_scalar_triples,
+}
+P_BYTES = ((1 << 127) - 1).to_bytes(16, "little")
+
+
+def flip(bit):
+    def tamper(frame: bytes) -> bytes:
+        position = bit % (8 * len(frame))
+        changed = bytearray(frame)
+        changed[position // 8] ^= 1 << position % 8
+        return bytes(changed)
+
+    return tamper
+
+
+def add_one(frame: bytes) -> bytes:
+    """The smallest change that stays a well-formed field element, if the frame holds one."""
+    value = (int.from_bytes(frame[:16], "little") + 1) % ((1 << 127) - 1)
+    return value.to_bytes(16, "little") + frame[16:]
+
+
+TAMPERS = {
+    "lowest bit": (flip(0), MacCheckFailed),
+    "a bit in the middle": (flip(77), MacCheckFailed),
+    "last element": (flip(-128), MacCheckFailed),
+    "plus one": (add_one, MacCheckFailed),
+    "bit 127: not a field element": (flip(127), ProtocolViolation),
+    "p itself: not canonical": (lambda frame: P_BYTES + frame[16:], ProtocolViolation),
+    "one byte short": (lambda frame: frame[:-1], ProtocolViolation),
+    "one byte long": (lambda frame: frame + b"\0", ProtocolViolation),
+    "empty": (lambda frame: b"", ProtocolViolation),
+    "zeros": (lambda frame: bytes(len(frame)), MacCheckFailed),
+}
+CHECK_TAMPERS = {name: MacCheckFailed for name in TAMPERS} | {
+    name: ProtocolViolation for name in ("one byte short", "one byte long", "empty")
+}
+
+
+def check_rounds(program) -> set[int]:
+    """Rounds that are a MAC check: the last one, and the one before the output's if anything was opened."""
+    rounds = measure(program, (X.shape, Y.shape), "malicious").rounds
+    return {rounds - 1} if program in (S6, S10) else {rounds - 3, rounds - 1}
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("sender", [0, 1])
+def test_a_changed_frame_is_caught_in_every_round(name, sender):
+    program = PROGRAMS[name]
+    rounds = measure(program, (X.shape, Y.shape), "malicious").rounds
+    checks = check_rounds(program)
+    for number in range(rounds):
+        for what, (tamper, error) in TAMPERS.items():
+            expected = CHECK_TAMPERS[what] if number in checks else error
+            touched = []
+
+            def attack(at: int, who: int, frame: bytes) -> bytes:
+                if (at, who) != (number, sender):  # noqa: B023
+                    return frame
+                changed = tamper(frame)  # noqa: B023
+                touched.append(changed != frame)  # noqa: B023
+                return changed
+
+            with pytest.raises(expected):
+                run_local(program, X, Y, tamper=attack)
+                pytest.fail(f"{name}, party {sender}, round {number}, {what}: nothing was raised")
+            assert touched == [True]
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_an_echo_of_our_own_check_does_not_pass(name):
+    program = PROGRAMS[name]
+    checks = check_rounds(program)
+    frames: dict[tuple[int, int], bytes] = {}
+
+    def attack(at: int, who: int, frame: bytes) -> bytes:
+        """Party 1 cheats in the round before a check and then repeats party 0's hash."""
+        frames[at, who] = frame
+        if who == 1 and at == min(checks) - 1:
+            return flip(3)(frame)
+        return frames[at, 0] if who == 1 and at in checks else frame
+
+    with pytest.raises(MacCheckFailed):
+        run_local(program, X, Y, tamper=attack)
+
+
+def test_a_hook_that_changes_nothing_raises_nothing():
+    result = run_local(S10, X, Y, tamper=lambda number, sender, frame: frame)
+    assert result.value == pytest.approx(-0.8, abs=1e-4)
+
+
+def test_semi_honest_mode_does_not_notice_and_says_so_in_its_name():
+    def attack(number: int, sender: int, frame: bytes) -> bytes:
+        return add_one(frame) if (number, sender) == (1, 1) else frame
+
+    honest = run_local(S10, X, Y, "semi-honest").value
+    assert run_local(S10, X, Y, "semi-honest", tamper=attack).value != honest
+
+
+def test_a_failed_check_names_no_secret():
+    with pytest.raises(MacCheckFailed) as caught:
+        run_local(S10, X, Y, tamper=lambda number, sender, frame: flip(0)(frame) if number == 1 else frame)
+    assert "tape must not be used again" in str(caught.value)

@@ -1,0 +1,315 @@
+"""Keys that add up to beta [x < a], checked exhaustively, at edges, and against a slow integer evaluator."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spdz import dcf, field
+from spdz.field import P
+from spdz.types import Block, FieldArray
+
+TOP = 1 << 127
+HEADER = 16
+
+
+def words(numbers: list[int]) -> Block:
+    packed = b"".join(number.to_bytes(16, "little") for number in numbers)
+    return np.frombuffer(packed, dtype=np.uint64).reshape(-1, 2)
+
+
+def random_blocks(rng: np.random.Generator, n: int) -> Block:
+    return rng.integers(0, 1 << 64, (n, 2), dtype=np.uint64)
+
+
+def random_payload(rng: np.random.Generator, n: int, w: int) -> FieldArray:
+    return field.from_blocks(random_blocks(rng, n * w)).reshape(n, w, 2)
+
+
+def shares(
+    roots: tuple[Block, Block], keys: tuple[bytes, bytes], points: Block, bits: int, w: int
+) -> FieldArray:
+    parts = [dcf.evaluate(i, roots[i], keys[i], points, bits, w) for i in (0, 1)]
+    assert all(field.is_canonical(part) for part in parts)
+    return field.add(*parts)
+
+
+def expected(thresholds: list[int], payload: FieldArray, points: list[int]) -> list[list[int]]:
+    rows = zip(thresholds, field.to_ints(payload).tolist(), points, strict=True)
+    return [[beta if x < a else 0 for beta in row] for a, row, x in rows]
+
+
+class Deal:
+    """Seeded roots and payloads for given thresholds, with the dealt key."""
+
+    def __init__(self, thresholds: list[int], bits: int, w: int, seed: int = 0) -> None:
+        rng, n = np.random.default_rng(seed), len(thresholds)
+        self.thresholds, self.bits, self.w, self.n = thresholds, bits, w, n
+        self.roots = random_blocks(rng, n), random_blocks(rng, n)
+        self.payload = random_payload(rng, n, w)
+        self.key = dcf.generate(*self.roots, words(thresholds), self.payload, bits)
+
+    def sum_at(self, points: list[int], keys: tuple[bytes, bytes] | None = None) -> list[list[int]]:
+        keys = keys or (self.key, self.key)
+        total = shares(self.roots, keys, words(points), self.bits, self.w)
+        return field.to_ints(total).tolist()  # type: ignore[no-any-return]
+
+    def expected_at(self, points: list[int]) -> list[list[int]]:
+        return expected(self.thresholds, self.payload, points)
+
+
+@pytest.mark.parametrize("w", [1, 2, 3])
+@pytest.mark.parametrize("bits", [1, 2, 3, 4, 5, 6])
+def test_every_threshold_and_every_point_of_a_small_domain(bits: int, w: int) -> None:
+    size = 1 << bits
+    pairs = [(a, x) for a in range(size) for x in range(size)]
+    deal = Deal([a for a, _ in pairs], bits, w, seed=bits)
+    points = [x for _, x in pairs]
+    assert deal.sum_at(points) == deal.expected_at(points)
+
+
+@pytest.mark.parametrize("bits", [7, 63, 64, 65, 78, 80, 126, 127])
+def test_points_next_to_the_threshold_and_at_the_ends(bits: int) -> None:
+    last = (1 << bits) - 1
+    for a in (0, 1, last, last - 1, last // 2, last // 2 + 1, min(last, (1 << 64) - 1), last // 3):
+        points = sorted({x for x in (a - 1, a, a + 1, 0, last, last // 2, 1 << (bits - 1)) if 0 <= x <= last})
+        deal = Deal([a] * len(points), bits, 2, seed=bits)
+        assert deal.sum_at(points) == deal.expected_at(points)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data(), st.sampled_from([63, 64, 78, 80, 126, 127]), st.sampled_from([1, 7]), st.integers(1, 3))
+def test_shares_add_up_to_the_payload_below_the_threshold(
+    data: st.DataObject, bits: int, n: int, w: int
+) -> None:
+    number = st.integers(0, (1 << bits) - 1)
+    thresholds = data.draw(st.lists(number, min_size=n, max_size=n))
+    near = st.integers(-2, 2)
+    points = [
+        data.draw(number | near.map(lambda d, a=a: min(max(a + d, 0), (1 << bits) - 1))) for a in thresholds
+    ]
+    deal = Deal(thresholds, bits, w, seed=data.draw(st.integers(0, 1 << 32)))
+    assert deal.sum_at(points) == deal.expected_at(points)
+
+
+@pytest.mark.parametrize("n", [0, 1, 1023, 1024, 1025, 2049, 2500])
+def test_batches_across_the_chunk_boundary(n: int) -> None:
+    rng = np.random.default_rng(n)
+    thresholds, points = (rng.integers(0, 1 << 20, n).tolist() for _ in range(2))
+    deal = Deal(thresholds, 20, 2)
+    assert deal.sum_at(points) == deal.expected_at(points)
+
+
+@pytest.mark.parametrize("beta", [0, 1, P - 1, (P + 1) // 2, 1 << 64])
+def test_extreme_payloads(beta: int) -> None:
+    rng = np.random.default_rng(3)
+    roots = random_blocks(rng, 4), random_blocks(rng, 4)
+    payload = field.from_ints([[beta]] * 4)
+    key = dcf.generate(*roots, words([5, 0, 15, 8]), payload, 4)
+    total = shares(roots, (key, key), words([4, 0, 14, 9]), 4, 1)
+    assert field.to_ints(total).ravel().tolist() == [beta, 0, beta, 0]
+
+
+def test_many_payloads_exceed_a_group_of_levels() -> None:
+    deal = Deal([40, 3, 63], 6, 3000)
+    points = [39, 3, 62]
+    assert deal.sum_at(points) == deal.expected_at(points)
+
+
+# -- an independent evaluator of the key format on Python integers ------------------------------------
+
+
+def slow_evaluate(
+    party: int, roots: list[int], key: bytes, points: list[int], bits: int, w: int
+) -> list[list[int]]:
+    n = len(roots)
+    blocks = [int.from_bytes(key[i : i + 16], "little") for i in range(0, len(key), 16)]
+    label = b"spdz prf v1: fixed AES key" + blocks[0].to_bytes(4, "little")
+    cipher = Cipher(algorithms.AES(hashlib.sha256(label).digest()[:16]), modes.ECB()).encryptor()
+    seed_cw, payload_cw = blocks[1 : 1 + bits * n], blocks[1 + bits * n :]
+
+    def hashed(x: int) -> int:
+        return int.from_bytes(cipher.update(x.to_bytes(16, "little")), "little") ^ x
+
+    result = []
+    for k in range(n):
+        state, sums = roots[k] % TOP + party * TOP, [0] * w
+        for i in range(bits + 1):
+            t = state // TOP
+            correction = [payload_cw[(i * w + j) * n + k] for j in range(w)]
+            for j in range(w):
+                sums[j] += hashed(state ^ 2 * j) ^ t * correction[j]
+            if i < bits:
+                right = points[k] >> (bits - 1 - i) & 1
+                control = seed_cw[i * n + k] // TOP ^ right & correction[0] // TOP
+                child = hashed(state ^ (1 + (right << 63)))
+                state = child ^ t * (seed_cw[i * n + k] % TOP + control * TOP)
+        result.append([(-value if party else value) % P for value in sums])
+    return result
+
+
+@pytest.mark.parametrize(("bits", "w"), [(1, 1), (5, 2), (64, 1), (78, 2), (127, 3)])
+def test_each_share_equals_the_integer_reference(bits: int, w: int) -> None:
+    last = (1 << bits) - 1
+    thresholds = [last // 3, last, 0]
+    deal = Deal(thresholds, bits, w, seed=bits)
+    for points in (thresholds, [0, last, last // 2]):
+        for party in (0, 1):
+            roots = [low | high << 64 for low, high in deal.roots[party].tolist()]
+            fast = dcf.evaluate(party, deal.roots[party], deal.key, words(points), bits, w)
+            assert field.to_ints(fast).tolist() == slow_evaluate(party, roots, deal.key, points, bits, w)
+
+
+# -- what keys hide, and what breaks them --------------------------------------------------------------
+
+
+def test_a_flipped_bit_on_the_path_is_used_by_exactly_one_party() -> None:
+    bits, w, a = 12, 2, 0b101100111000
+    deal = Deal([a], bits, w)
+    honest = deal.expected_at([a])
+    rng = np.random.default_rng(5)
+    for block in range(HEADER // 16, len(deal.key) // 16):
+        # Below the top byte: a seed's flip reaches the leaf's payload, a payload word's its node's.
+        damaged = bytearray(deal.key)
+        damaged[16 * block + int(rng.integers(15))] ^= 1 << int(rng.integers(8))
+        changed = [
+            deal.sum_at([a], keys) != honest
+            for keys in ((bytes(damaged), deal.key), (deal.key, bytes(damaged)))
+        ]
+        assert sorted(changed) == [False, True], block
+
+
+def test_a_flipped_control_bit_changes_the_sum() -> None:
+    bits, a = 12, 0b101100111000
+    deal = Deal([a], bits, 1)
+    for level in range(bits):
+        damaged = bytearray(deal.key)
+        damaged[HEADER + 16 * level + 15] ^= 0x80
+        keys = (bytes(damaged), deal.key), (deal.key, bytes(damaged))
+        assert sum(deal.sum_at([a], pair) != deal.expected_at([a]) for pair in keys) == 1
+
+
+def test_a_damaged_hash_index_is_refused_or_changes_the_sum() -> None:
+    deal = Deal([77], 7, 1)
+    for byte in range(HEADER):
+        damaged = bytearray(deal.key)
+        damaged[byte] ^= 1
+        keys = bytes(damaged), deal.key
+        if byte < 4:
+            assert deal.sum_at([5], keys) != deal.expected_at([5])
+        else:
+            with pytest.raises(ValueError, match="hash index"):
+                deal.sum_at([5], keys)
+
+
+def test_the_wrong_root_changes_the_sum() -> None:
+    deal = Deal([77], 7, 1)
+    deal.roots[0][0, 0] ^= np.uint64(1)
+    assert deal.sum_at([5]) != deal.expected_at([5])
+
+
+def test_the_top_bit_of_a_root_is_not_used() -> None:
+    deal = Deal([77], 7, 1)
+    for roots in deal.roots:
+        roots[:, 1] ^= np.uint64(1 << 63)
+    assert deal.sum_at([5]) == deal.expected_at([5])
+
+
+def test_keys_of_two_thresholds_differ_in_about_half_of_all_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("spdz.dcf.secrets.randbits", lambda bits: 1)
+    n, bits = 64, 40
+    ones = np.frombuffer(Deal([(1 << bits) - 1] * n, bits, 2).key, dtype=np.uint8)[HEADER:]
+    zeros = np.frombuffer(Deal([0] * n, bits, 2).key, dtype=np.uint8)[HEADER:]
+    for key in (ones, zeros, ones ^ zeros):
+        by_level = np.unpackbits(key).reshape(-1, n * 128).mean(axis=1)
+        # Rows of 64 words. At the leaf the top bit is 0 by definition, 1 bit in 128.
+        assert np.all(np.abs(by_level - 0.5) < 0.05)
+
+
+def test_single_shares_look_uniform() -> None:
+    n = 400
+    deal = Deal([5] * n, 10, 1)
+    for party in (0, 1):
+        share = dcf.evaluate(party, deal.roots[party], deal.key, words([3] * n), 10, 1)
+        bits = np.unpackbits(np.ascontiguousarray(share).view(np.uint8).reshape(n, 16), axis=1)
+        means = np.delete(bits.mean(axis=0), 120)  # bit 127 is always 0
+        assert np.all(np.abs(means - 0.5) < 0.15)
+
+
+def test_batches_have_hash_keys_of_their_own() -> None:
+    assert len({Deal([1], 2, 1).key[:HEADER] for _ in range(8)}) == 8
+
+
+# -- arguments -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("n", "bits", "w"), [(1, 1, 1), (3, 63, 2), (16, 127, 1), (0, 5, 1)])
+def test_the_key_has_the_announced_length(n: int, bits: int, w: int) -> None:
+    size = dcf.key_bytes(n, bits, w)
+    assert size % 16 == 0
+    assert len(Deal([1] * n, bits, w).key) == size
+
+
+@pytest.mark.parametrize("bits", [3, 63, 64, 65, 126])
+def test_numbers_outside_the_domain_are_refused(bits: int) -> None:
+    deal = Deal([0, 1], bits, 1)
+    for bad in (1 << bits, (1 << 128) - 1, 1 << 127):
+        with pytest.raises(ValueError, match="points must be below"):
+            dcf.evaluate(0, deal.roots[0], deal.key, words([0, bad]), bits, 1)
+        with pytest.raises(ValueError, match="threshold must be below"):
+            dcf.generate(*deal.roots, words([bad, 0]), deal.payload, bits)
+
+
+def test_arguments_that_do_not_fit_are_refused() -> None:
+    deal = Deal([3, 4], 5, 2)
+    root, key, points = deal.roots[0], deal.key, words([1, 2])
+    thresholds = words([3, 4])
+    for bits in (0, 128):
+        with pytest.raises(ValueError, match="1 to 127 bits"):
+            dcf.evaluate(0, root, key, points, bits, 2)
+        with pytest.raises(ValueError, match="1 to 127 bits"):
+            dcf.generate(*deal.roots, thresholds, deal.payload, bits)
+    for bad_key in (key[:-16], key + bytes(16), key[:-1], b""):
+        with pytest.raises(ValueError, match="bytes, not"):
+            dcf.evaluate(0, root, bad_key, points, 5, 2)
+    with pytest.raises(ValueError, match="bytes, not"):
+        dcf.evaluate(0, root, key, points, 5, 1)
+    with pytest.raises(ValueError, match="party"):
+        dcf.evaluate(2, root, key, points, 5, 2)
+    with pytest.raises(ValueError, match="payload"):
+        dcf.evaluate(0, root, key, points, 5, 0)
+    with pytest.raises(ValueError, match="points must be uint64"):
+        dcf.evaluate(0, root, key, points[:1], 5, 2)
+    with pytest.raises(ValueError, match="points must be uint64"):
+        dcf.evaluate(0, root, key, points.astype(np.int64), 5, 2)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="roots1 must be uint64"):
+        dcf.generate(root, root[:1], thresholds, deal.payload, 5)
+    with pytest.raises(ValueError, match="threshold must be uint64"):
+        dcf.generate(root, root, thresholds[:1], deal.payload, 5)
+    with pytest.raises(ValueError, match="shape"):
+        dcf.generate(root, root, thresholds, deal.payload[0], 5)
+    with pytest.raises(ValueError, match="below p"):
+        dcf.generate(root, root, thresholds, deal.payload | np.uint64((1 << 64) - 1), 5)
+
+
+def test_arguments_are_left_as_they_were() -> None:
+    deal = Deal([9, 20], 5, 1)
+    arrays = [*deal.roots, words([9, 20]).copy(), deal.payload, words([3, 4]).copy()]
+    before = [array.copy() for array in arrays]
+    dcf.generate(arrays[0], arrays[1], arrays[2], arrays[3], 5)
+    dcf.evaluate(1, arrays[1], bytearray(deal.key), arrays[4], 5, 1)
+    assert all(np.array_equal(a, b) for a, b in zip(arrays, before, strict=True))
+
+
+def test_a_key_at_an_odd_address_and_read_only_roots_are_accepted() -> None:
+    deal = Deal([9, 20], 5, 1)
+    for roots in deal.roots:
+        roots.flags.writeable = False
+    shifted = memoryview(b"\0" + deal.key)[1:]
+    total = [dcf.evaluate(i, deal.roots[i], shifted, words([8, 20]), 5, 1) for i in (0, 1)]
+    assert field.to_ints(field.add(*total)).tolist() == deal.expected_at([8, 20])
