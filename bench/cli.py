@@ -135,16 +135,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.trials < 1 or min(options.dim) < 1:
         arguments.error("--trials and --dim must be positive")
     if not options.json:
-        print(
-            f"{'score':6}{'N':>6}  {'security':12}{'engine':10}{'ms':>9}{'bytes':>10}{'rounds':>8}{'tape B':>9}"
-        )
+        print(f"{'score':6}{'N':>6}  {'security':12}{'engine':10}", end="")
+        print(f"{'ms':>9}{'bytes':>10}{'rounds':>8}{'tape B':>10}")
     for row in sweep(options):
         if options.json:
             print(json.dumps(asdict(row)), flush=True)
         else:
             print(
                 f"{row.score:6}{row.n:6}  {row.security:12}{row.engine:10}{row.median_ms:9.3f}"
-                f"{row.bytes_sent:10}{row.rounds:8}{row.tape_bytes:9}",
+                f"{row.bytes_sent:10}{row.rounds:8}{row.tape_bytes:10}",
                 flush=True,
             )
     return 0

@@ -90,7 +90,7 @@ class DealtJob(Recipe):
         product_shape: Shape,
         product: Callable[[FieldArray, FieldArray], FieldArray],
     ) -> None:
-        """a and b are sums of both pads."""
+        """A and b are sums of both pads."""
         factors = []
         for _ in range(2):
             factors.append(field.add(self._pads[0].pad(shape), self._pads[1].pad(shape)))

@@ -30,6 +30,9 @@ class Candidate:
     score: Score
     threshold: float
 
+    def __str__(self) -> str:
+        return f"{self.score.name} {'>=' if self.score.similarity else '<='} {self.threshold!r}"
+
     @property
     def max_norm(self) -> float:
         """The score's."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from protocols.candidate import is_candidate
 from protocols.scores import SCORES
 from spdz import Program
-from spdz.fixed_point import MAX_NORM
+from spdz.fixed_point import MAX_NORM, norm_bound
 from spdz.types import Shape
 
 Reveal = Literal["bit", "score"]
@@ -40,6 +40,7 @@ class Purpose:
             raise ValueError(f"reveal must be 'bit' or 'score', not {self.reveal!r}")
         if self.dim < 1 or len(self.tile) != 2 or min(self.tile) < 1:
             raise ValueError("dimension and tile must be positive")
+        norm_bound(self.max_norm, self.dim)  # raises for a norm out of range
 
     @property
     def pairs(self) -> int:

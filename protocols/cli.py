@@ -7,8 +7,10 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from protocols.catalog import Purpose
 from protocols.matching import Matches, match
@@ -18,8 +20,10 @@ from spdz.session import Session, open_session
 
 _EPILOG = """\
 example, in two terminals (either may start first):
-  python -m spdz match --tape mission/alice/bob.tape --listen 127.0.0.1:9000 --descriptors a.npy --threshold 0.8
-  python -m spdz match --tape mission/bob/alice.tape --connect 127.0.0.1:9000 --descriptors b.npy --threshold 0.8
+  python -m spdz match --tape mission/alice/bob.tape --listen 127.0.0.1:9000 \\
+      --descriptors a.npy --threshold 0.8
+  python -m spdz match --tape mission/bob/alice.tape --connect 127.0.0.1:9000 \\
+      --descriptors b.npy --threshold 0.8
 
 Both robots learn which pairs of descriptors match (and how many descriptors the other has), nothing else.
 Exit status: 0 done, 1 the run failed, 2 bad input; with --json an error is one JSON object as well.
@@ -56,7 +60,7 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     arguments.set_defaults(run=run_match)
 
 
-def load_descriptors(path: Path) -> np.ndarray:  # type: ignore[type-arg]
+def load_descriptors(path: Path) -> npt.NDArray[Any]:
     """Read an array from a ``.npy`` file; pickled objects are refused."""
     try:
         return np.asarray(np.load(path, allow_pickle=False))

@@ -43,6 +43,9 @@ class Score:
         """Run the formula."""
         return await self.formula(engine, x, y)
 
+    def __str__(self) -> str:
+        return f"{self.name} ({self.title})"
+
     def within(self, max_norm: float) -> Score:
         """The same score for descriptors of at most this norm (1 for normalised descriptors)."""
         return replace(self, max_norm=max_norm)

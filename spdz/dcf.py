@@ -4,8 +4,8 @@ Neither key tells anything about the threshold a or the payload beta. n keys are
 
 **Construction.** A binary tree of depth ``bits``; a party's state at a node is a 127-bit seed with a control
 bit t as the block's top bit (at the root t is the party's index). With H the fixed-key hash of
-:mod:`spdz.prf`, the child in direction d is H(s ^ (2d + 1)), and where t = 1 it is corrected by the level's
-correction word (CW): one seed for both directions and a control bit for each. On the path of a the two
+:mod:`spdz.prf`, the child in direction d is H(s ^ (2^63 d + 1)), and where t = 1 the level's correction word
+(CW) is XORed to it: one seed for both directions and a control bit for each. On the path of a the two
 parties' seeds are independent and t_0 ^ t_1 = 1; off the path both states are equal. Node i also yields
 payload j = Conv(H(s ^ 2j) ^ (t CW_ij)), Conv(y) = y mod p, and party 1 negates: off the path the two cancel,
 on the path the dealer chose CW_ij so that they leave g_i = beta (a_(i+1) - a_i), where a_1 is the most
@@ -61,7 +61,9 @@ _CHUNK = 1024  # keys at a time: their seeds on all levels stay in the second-le
 _GROUP = 8192  # payload blocks at a time: they and their temporaries stay close to the first level
 _TOP = np.uint64(1 << 63)
 _ONE, _32, _63 = np.uint64(1), np.uint64(32), np.uint64(63)
-_SIGN = np.array(63)  # right_shift(int64, 63) spreads the top bit; 0-d arrays cost a ufunc less than scalars
+# right_shift(int64, 63) spreads the top bit over the word. To a ufunc, a 0-d array costs less than a scalar.
+_SIGN = np.array(63, dtype=np.int64)
+_SIGN.flags.writeable = False
 
 _Words: TypeAlias = npt.NDArray[np.uint64]
 
@@ -120,7 +122,7 @@ def generate(roots0: Block, roots1: Block, threshold: Block, payload: FieldArray
     key = np.zeros(key_bytes(n, bits, w) // 8, dtype=_WORD)
     key[0] = index
     seed_words, payload_words = _correction_words(key, n, bits, w)
-    for part in _parts(n, _CHUNK):
+    for part in _chunks(n):
         path = _top_bits(threshold[part], bits)
         seeds = np.empty((bits + 1, 2, path.shape[1], 2), dtype=np.uint64)
         for party, roots in enumerate((roots0, roots1)):
@@ -153,8 +155,9 @@ def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w:
         raise ValueError(f"the party must be 0 or 1, not {party}")
     _check_blocks("roots", roots, n)
     _check_domain("points", points, n, bits)
-    if len(key) != key_bytes(n, bits, w):
-        raise ValueError(f"{n} keys of {bits} bits have {key_bytes(n, bits, w)} bytes, not {len(key)}")
+    if memoryview(key).nbytes != key_bytes(n, bits, w):
+        size = key_bytes(n, bits, w)
+        raise ValueError(f"{n} keys of {bits} bits have {size} bytes, not {memoryview(key).nbytes}")
     words = np.frombuffer(key, dtype=_WORD)
     index = int(words[0]) | int(words[1]) << 64
     if index >> _INDEX_BITS:
@@ -162,7 +165,7 @@ def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w:
     fixed_key_hash = _BoundHash(index)
     seed_words, payload_words = _correction_words(words, n, bits, w)
     sums = np.empty((n, w, 4), dtype=np.uint64)
-    for part in _parts(n, _CHUNK):
+    for part in _chunks(n):
         directions = _top_bits(points[part], bits)
         seeds = np.empty((bits + 1, directions.shape[1], 2), dtype=np.uint64)
         _set_root(party, roots[part], seeds[0])
@@ -322,7 +325,7 @@ def _group(blocks: int, levels: int) -> int:
     return min(levels, max(1, _GROUP // blocks))
 
 
-def _hash_in_place(fixed_key_hash: FixedKeyHash, blocks: Block) -> None:
+def _hash_in_place(fixed_key_hash: _BoundHash, blocks: Block) -> None:
     flat = blocks.reshape(-1, 2)
     fixed_key_hash.hash_into(flat, flat)
 
@@ -352,10 +355,10 @@ def _top_bits(numbers: Block, bits: int) -> _Words:
     return result
 
 
-def _parts(n: int, most: int) -> Iterator[slice]:
-    """Split n into nearly equal parts of at most so many."""
-    size = -(-n // max(1, -(-n // most)))
-    return (slice(start, min(start + size, n)) for start in range(0, n, max(size, 1)))
+def _chunks(n: int) -> Iterator[slice]:
+    """Nearly equal parts of at most ``_CHUNK``."""
+    size = max(1, -(-n // max(1, -(-n // _CHUNK))))
+    return (slice(start, start + size) for start in range(0, n, size))
 
 
 def _check_width(bits: int, w: int) -> None:

@@ -7,6 +7,7 @@ most (2^38 + sqrt(n) / 2 + 1)^2, which leaves 2^50 of F_p's range unused for eve
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import isqrt, ldexp
 from typing import overload
 
@@ -23,6 +24,7 @@ MAX_NORM = 2.0**22
 """The largest L2 norm that a program may allow: raw integers then stay below 2^39."""
 
 
+@lru_cache(maxsize=256)
 def norm_bound(max_norm: float, n: int) -> int:
     """The largest L2 norm of a quantised vector, in raw units of 2^-16.
 

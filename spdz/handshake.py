@@ -71,8 +71,8 @@ class Hello:
                 f"the peer speaks protocol version {str(fields.get('version'))[:8]}, this side "
                 f"{PROTOCOL_VERSION}: install the same release on both robots"
             )
-        kinds = {name: str for name in ("mission", "tape", "security", "fingerprint", "nonce")}
-        kinds |= {name: int for name in ("version", "party", "jobs", "cursor")}  # type: ignore[dict-item]
+        kinds: dict[str, type] = dict.fromkeys(("mission", "tape", "security", "fingerprint", "nonce"), str)
+        kinds |= dict.fromkeys(("version", "party", "jobs", "cursor"), int)
         well_formed = all(type(fields.get(name)) is kind for name, kind in kinds.items())
         agents, program = fields.get("agents"), fields.get("program")
         if (

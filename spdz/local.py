@@ -139,12 +139,12 @@ def _lock_step(
                         f"got {len(frames[1 - receiver])}"
                     )
             steps = [_step(lane, memoryview(frames[1 - i])) for i, lane in enumerate(lanes)]
-            running = [step for step in steps if isinstance(step, Exchange)]
-            if not running:
-                return steps[0][0]
-            if len(running) != len(lanes):
+            requests = [step for step in steps if isinstance(step, Exchange)]
+            if not requests:
+                return next(step[0] for step in steps if not isinstance(step, Exchange))
+            if len(requests) != len(lanes):
                 raise ProtocolViolation("one party finished before the other")
-            requests, number = running, number + 1
+            number += 1
     finally:
         for lane in lanes:
             lane.close()

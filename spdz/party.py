@@ -122,11 +122,12 @@ class Party(Evaluation):
         """Add public integers: to eps of a masked value, else to party 0's share and to the MAC."""
         number = field.from_int(raw) if isinstance(raw, int) else field.from_int64(np.asarray(raw))
         shape = np.broadcast_shapes(x.shape, number.shape[:-1])
-        if x.masked:
-            parts = (field.add(x.parts[0], number), *x.parts[1:])
-            return Value(self, parts, shape, x.frac, x.bound, masked=True)
-        moved = self._plus_field(x, number)
-        return Value(self, moved.parts, shape, x.frac, x.bound)
+        if shape != x.shape:
+            parts = tuple(p if p is None else _RING.broadcast(p, shape) for p in x.parts)
+            x = Value(self, parts, shape, x.frac, x.bound, masked=x.masked)
+        if not x.masked:
+            return self._plus_field(x, number)
+        return Value(self, (field.add(x.parts[0], number), *x.parts[1:]), shape, x.frac, x.bound, masked=True)
 
     def _plus_field(self, x: Value, public: FieldArray) -> Value:
         value, *macs = x.parts
@@ -174,7 +175,7 @@ class Party(Evaluation):
 
     async def open(self, *values: Value) -> list[FieldArray]:
         """Exchange value shares; every opening is recorded for the next MAC check."""
-        own = [np.broadcast_to(value.parts[0], (*value.shape, 2)) for value in values]
+        own = [value.parts[0] for value in values]
         theirs = await exchange_elements(own, [value.shape for value in values])
         opened = [field.add(a, b) for a, b in zip(own, theirs, strict=True)]
         if self._mac_check is not None:

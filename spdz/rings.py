@@ -69,7 +69,8 @@ class FieldRing:
 
     def index(self, a: FieldArray, key: tuple[Any, ...]) -> FieldArray:
         """Basic indexing; the limb axis stays."""
-        return a[(*key, slice(None))] if Ellipsis in key else a[key]
+        words = (*key, slice(None)) if Ellipsis in key else key
+        return np.asarray(a[words])
 
     def reshape(self, a: FieldArray, shape: Shape) -> FieldArray:
         """The same elements in another shape."""

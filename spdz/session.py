@@ -206,7 +206,7 @@ class Session:
         call = (plan.text, str(jobs))
         if call == self._agreed:
             return
-        title = repr(program)[:120]
+        title = str(getattr(program, "__name__", program))[:120]
         peer = self._control({"text": plan.text, "jobs": jobs, "title": title}, "text", "jobs", "title")
         if (peer["text"], str(peer["jobs"])) != call:
             theirs = "".join(c for c in str(peer["title"])[:120] if c.isprintable())

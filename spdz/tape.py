@@ -215,6 +215,9 @@ class Tape:
             self._state = None
             self._resources.close()
 
+    def __repr__(self) -> str:
+        return f"<tape of {self.header.name} for {self.header.peer}: {self.remaining} jobs left>"
+
     def __enter__(self) -> Tape:
         return self
 

@@ -149,8 +149,7 @@ class Value:
     # -- how a linear map acts on the parts ----------------------------------------------------------
 
     def _map(self, linear: Callable[[Any], Any], shape: Shape, bound: int) -> Value:
-        ring = self.engine.ring
-        parts = tuple(p if p is None else linear(ring.broadcast(p, self.shape)) for p in self.parts)
+        parts = tuple(p if p is None else linear(p) for p in self.parts)
         return Value(self.engine, parts, shape, self.frac, bound, masked=self.masked)
 
     def _combine(self, other: Value, both: Callable[[Any, Any], Any], alone: Callable[[Any], Any]) -> Value:

@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from math import prod
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from spdz import field
 from spdz.coroutine import exchange
@@ -13,9 +15,9 @@ from spdz.types import FieldArray, Shape
 ELEMENT_BYTES = 16
 
 
-def to_bytes(array: np.ndarray) -> memoryview:  # type: ignore[type-arg]
+def to_bytes(array: npt.NDArray[Any]) -> memoryview:
     """View a NumPy array as bytes without copying (it is made contiguous if need be)."""
-    return memoryview(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
 
 async def exchange_elements(own: Sequence[FieldArray], shapes: Sequence[Shape]) -> list[FieldArray]:

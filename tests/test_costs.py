@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from protocols import is_candidate
 from protocols.scores import S6, S10
 from protocols.textbook import dot_with_scalar_triples, dot_with_vector_triple
 from spdz import Engine, Stats, Value, beaver_multiply, measure, run_local
-from protocols import is_candidate
 
 N = 6
 X, Y = np.linspace(-1, 1, N), np.linspace(0.5, 2, N)

@@ -24,7 +24,7 @@ from spdz.local import run_clear
 from spdz.progress import progress_bar
 from spdz.types import Security
 
-TILE = (25, 30)
+TILE = (50, 60)
 """Keyframes of Alice and of Bob in a job."""
 
 TIMEOUT = 300.0

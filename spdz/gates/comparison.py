@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
+import numpy.typing as npt
 
 from spdz import dcf, field
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
@@ -45,10 +46,10 @@ def domain_bits(bound: int) -> int:
     return bits
 
 
-def _top_bit(words: FieldArray, bits: int) -> np.ndarray:  # type: ignore[type-arg]
+def _top_bit(words: FieldArray, bits: int) -> npt.NDArray[np.bool_]:
     """Bit ``bits - 1`` of each element, as booleans."""
     word, offset = divmod(bits - 1, 64)
-    return (words[..., word] >> np.uint64(offset) & np.uint64(1)).astype(np.bool_)
+    return np.asarray(words[..., word] >> np.uint64(offset) & np.uint64(1), dtype=np.bool_)
 
 
 def _low_bits(words: FieldArray, bits: int) -> Block:
@@ -57,7 +58,7 @@ def _low_bits(words: FieldArray, bits: int) -> Block:
     return words & np.array(masks, dtype=np.uint64)
 
 
-def _signed(negative: np.ndarray, a: FieldArray) -> FieldArray:  # type: ignore[type-arg]
+def _signed(negative: npt.NDArray[np.bool_], a: FieldArray) -> FieldArray:
     """``-a`` where ``negative``, else ``a``."""
     return np.where(negative[..., None], field.neg(a), a)
 

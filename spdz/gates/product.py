@@ -33,7 +33,8 @@ class Contraction:
     product: Callable[[Any, Any], FieldArray]
     clear_product: Callable[[Any, Any], BigIntArray]
     shape: Callable[[Shape, Shape], Shape]
-    prepare: Callable[[FieldArray], Any]
+    prepare: Callable[[FieldArray], Any] = lambda a: a
+    small_product: Callable[[Any, Any], FieldArray] | None = None
 
 
 def _dot_shape(x: Shape, y: Shape) -> Shape:
@@ -56,19 +57,26 @@ def _clear_dot(x: BigIntArray, y: BigIntArray) -> BigIntArray:
     return np.asarray(partial[0] + (partial[1] + partial[2]) * (1 << 20) + partial[3] * (1 << 40))
 
 
-DOT = Contraction("dot product", inner_product.dot, _clear_dot, _dot_shape, inner_product.limbs)
+DOT = Contraction(
+    "dot product",
+    inner_product.dot,
+    _clear_dot,
+    _dot_shape,
+    prepare=inner_product.limbs,
+    small_product=inner_product.small_dot,
+)
 ELEMENTWISE = Contraction(
     "product",
     field.mul,
     lambda x, y: np.asarray(x.astype(object) * y),
-    lambda x, y: np.broadcast_shapes(x, y),
-    lambda a: a,
+    np.broadcast_shapes,
 )
 
 
 def masked_product(party: Evaluation, by: Contraction, x: Value, y: Value, correction: Share) -> Share:
     """The formula of the module's docstring on one party's parts; returns its shares of the product."""
-    eps_x, eps_y = by.prepare(x.parts[0]), by.prepare(y.parts[0])
+    eps_x = by.prepare(x.parts[0])
+    eps_y = eps_x if x is y else by.prepare(y.parts[0])
 
     def cross(i: int) -> FieldArray | None:
         """``eps_x * y_i + eps_y * x_i`` for part i of both."""
@@ -79,16 +87,34 @@ def masked_product(party: Evaluation, by: Contraction, x: Value, y: Value, corre
         right = None if x_i is None else by.product(eps_y, x_i)
         return left if right is None else right if left is None else field.add(left, right)
 
+    # Where one operand is our own raw input and the other wholly the peer's, eps_peer * own is a product
+    # with short integers, and it equals the cross term plus eps_x eps_y.
+    short: FieldArray | None = None
+    if by.small_product is not None:
+        if x.plain is not None and y.parts[1] is None:
+            short = by.small_product(x.plain, eps_y)
+        elif y.plain is not None and x.parts[1] is None:
+            short = by.small_product(y.plain, eps_x)
     value, mac = correction
-    public = by.product(eps_x, eps_y) if party.index == 0 or party.alpha is not None else None
-    terms = [cross(1), public if party.index == 0 else None]
+    if mac is None or party.alpha is None:
+        if short is None or party.index == 1:
+            terms = [cross(1), by.product(eps_x, eps_y) if party.index == 0 else None]
+        else:
+            terms = [short]
+        return _total(value, terms), None
+    public = by.product(eps_x, eps_y)
+    if short is None:
+        terms = [cross(1), public if party.index == 0 else None]
+    else:
+        terms = [short, field.neg(public) if party.index == 1 else None]
+    return _total(value, terms), _total(mac, [field.scale(public, party.alpha), cross(2)])
+
+
+def _total(start: FieldArray, terms: list[FieldArray | None]) -> FieldArray:
     for term in terms:
-        value = value if term is None else field.add(value, term)
-    if mac is not None and public is not None and party.alpha is not None:
-        mac = field.add(mac, field.scale(public, party.alpha))
-        mac_cross = cross(2)
-        mac = mac if mac_cross is None else field.add(mac, mac_cross)
-    return value, mac
+        if term is not None:
+            start = field.add(start, term)
+    return start
 
 
 @dataclass(frozen=True, slots=True)

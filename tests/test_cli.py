@@ -1,0 +1,155 @@
+"""The commands of the README, as a user types them, in processes of their own."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bench.pair import free_port
+
+DIM = 8
+
+
+def command(*words, **options):
+    return subprocess.run(
+        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=60, check=False, **options
+    )
+
+
+def deal(folder, *extra):
+    return command(
+        *f"spdz.dealer --agents alice bob --score S10 --dim {DIM} --count 12 --out {folder}".split(), *extra
+    )
+
+
+def match_both(folder, *extra, thresholds=("0.8", "0.8"), wait="20"):
+    """Start both robots; returns (status, stdout, stderr) of each."""
+    port = free_port()
+    processes = []
+    for robot, peer, role, threshold in (
+        ("alice", "bob", "--listen", thresholds[0]),
+        ("bob", "alice", "--connect", thresholds[1]),
+    ):
+        words = ["spdz", "match", "--tape", f"{folder}/{robot}/{peer}.tape", role, f"127.0.0.1:{port}"]
+        words += ["--descriptors", f"{folder}/{robot}.npy", "--threshold", threshold]
+        words += ["--state-dir", f"{folder}/state-{robot}", "--wait", wait, *extra]
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            )
+        )
+    results = []
+    for process in processes:
+        out, err = process.communicate(timeout=60)
+        results.append((process.returncode, out, err))
+    return results
+
+
+@pytest.fixture
+def mission(tmp_path):
+    folder = tmp_path / "mission"
+    dealt = deal(folder)
+    assert dealt.returncode == 0, dealt.stderr
+    eye = np.eye(DIM)
+    np.save(folder / "alice.npy", eye[:3])
+    np.save(folder / "bob.npy", eye[1:4])
+    return folder
+
+
+def test_deal_and_match_in_two_processes_over_tls(mission):
+    first, second = match_both(mission)
+    assert first[0] == second[0] == 0, (first, second)
+    assert "match: alice 1  bob 0" in first[1] and "match: alice 2  bob 1" in first[1]
+    assert "2 of 3 x 3 pairs match" in first[1] and "3 jobs left" in first[1]
+    assert "match: bob 0  alice 1" in second[1]
+
+
+def test_json_is_one_object_with_the_costs(mission):
+    first, second = match_both(mission, "--json", "--insecure-plain-tcp")
+    answers = [json.loads(out) for _, out, _ in (first, second)]
+    assert answers[0]["matches"] == [[1, 0], [2, 1]]
+    assert answers[1]["matches"] == [[0, 1], [1, 2]]
+    for answer in answers:
+        assert answer["rounds"] == 5 and answer["security"] == "malicious"
+        assert answer["correlations"]["comparison"] == 9 and answer["jobs_left"] == 3
+
+
+def test_the_dealer_prints_comparisons_and_megabytes(tmp_path):
+    dealt = deal(tmp_path / "m")
+    assert "12 comparisons in 12 jobs" in dealt.stdout and "alice" in dealt.stdout and "MB" in dealt.stdout
+    answer = json.loads(deal(tmp_path / "n", "--json", "--tile", "3x3").stdout)
+    assert (answer["comparisons"], answer["jobs"]) == (18, 2)
+
+
+def test_thresholds_that_differ_are_an_error_with_status_1(mission):
+    for status, out, err in match_both(mission, thresholds=("0.8", "0.7")):
+        assert status == 1 and not out
+        assert "S10 >= 0.8" in err and "S10 >= 0.7" in err
+
+
+def test_using_up_a_tape_says_what_to_do(mission):
+    match_both(mission)
+    for status, _, err in match_both(mission):
+        assert status == 1
+        assert "TapeExhausted" in err and "python -m spdz.dealer" in err
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda folder: np.save(folder / "alice.npy", np.full((2, DIM), np.nan)), "not finite"),
+        (
+            lambda folder: np.save(folder / "alice.npy", np.zeros((2, DIM + 1))),
+            "expected descriptors of shape",
+        ),
+        (lambda folder: np.save(folder / "alice.npy", np.array([{}]), allow_pickle=True), "cannot read"),
+        (lambda folder: (folder / "alice.npy").write_bytes(b"garbage"), "cannot read"),
+        (lambda folder: (folder / "alice.npy").unlink(), "cannot read"),
+        (lambda folder: (folder / "alice" / "bob.tape").unlink(), "bob.tape"),
+        (lambda folder: (folder / "alice" / "key.pem").unlink(), "key.pem"),
+        (lambda folder: (folder / "alice" / "bob.tape").write_bytes(b"x" * 5000), "bob.tape"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(mission, change, says):
+    change(mission)
+    status, out, err = match_both(mission, "--timeout", "5", wait="3")[0]
+    assert status in (1, 2) and not out
+    assert says in err and "Traceback" not in err and len(err.strip().splitlines()) == 1
+
+
+def test_nobody_there_is_an_error_in_bounded_time(mission):
+    result = command(
+        *f"spdz match --tape {mission}/alice/bob.tape --listen 127.0.0.1:{free_port()}".split(),
+        *f"--descriptors {mission}/alice.npy --threshold 0.8 --wait 0.3 --json".split(),
+    )
+    assert result.returncode == 1
+    assert json.loads(result.stdout)["error"] == "ChannelTimeout"
+
+
+@pytest.mark.parametrize("words", [["spdz"], ["spdz", "match"], ["spdz", "demo"], ["spdz.dealer"], ["bench"]])
+def test_help_teaches(words):
+    result = command(*words, "--help")
+    assert result.returncode == 0 and "usage" in result.stdout and len(result.stdout) > 200
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [["--tile", "0x3"], ["--tile", "axb"], ["--max-norm", "-1"], ["--count", "0"], ["--agents", "solo"]],
+)
+def test_the_dealer_refuses_bad_arguments(tmp_path, extra):
+    result = deal(tmp_path / "m", *extra)
+    assert result.returncode == 2 and "Traceback" not in result.stderr
+    assert not (tmp_path / "m").exists()
+
+
+def test_the_bench_prints_one_json_object_a_line():
+    result = command("bench", *"--score S10 S6 --dim 16 --trials 3 --json --security malicious".split())
+    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    assert {(row["score"], row["engine"]) for row in rows} == {
+        (score, engine) for score in ("S6", "S10") for engine in ("spdz", "textbook", "clear")
+    }
+    for row in rows:
+        assert {"n", "security", "trials", "median_ms", "bytes_sent", "rounds", "tape_bytes"} <= set(row)
+        assert row["max_abs_error"] == 0.0
