@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from spdz.channels.tls import CA_FILE, CERTIFICATE_FILE, KEY_FILE
-from spdz.durable import create_private, make_private_folder, sync, sync_folder, write_at
+from spdz.tape.durable import create_private, make_private_folder, sync, sync_folder, write_at
 
 _NOT_BEFORE = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _NOT_AFTER = datetime(9999, 12, 31, 23, 59, 59, tzinfo=timezone.utc)

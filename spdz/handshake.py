@@ -15,7 +15,7 @@ from typing import Any
 
 from spdz.errors import ProtocolViolation, TapeMismatch
 from spdz.tape import Tape
-from spdz.tape_format import TapeHeader
+from spdz.tape.format import TapeHeader
 
 PROTOCOL_VERSION = 1
 

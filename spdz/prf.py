@@ -7,6 +7,7 @@ Once a chain value is overwritten, neither it nor an earlier job's key can be re
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
@@ -94,3 +95,16 @@ class FixedKeyHash:
             self._scratch = np.empty(size + _BLOCK, dtype=np.uint8)
         self._encryptor.update_into(inp.data.cast("B"), self._scratch.data)
         np.bitwise_xor(self._scratch[:size].view(np.uint64).reshape(inp.shape), inp, out=out)
+
+    def bind(self, inp: Block, out: Block) -> Callable[[], None]:
+        """``hash_into(inp, out)`` with its views made once; ``inp`` and ``out`` do not overlap."""
+        scratch = np.empty(inp.nbytes + _BLOCK, dtype=np.uint8)
+        encrypted = scratch[: inp.nbytes].view(np.uint64).reshape(inp.shape)
+        update, xor = self._encryptor.update_into, np.bitwise_xor
+        source, destination = inp.view(np.uint8).reshape(-1).data, scratch.data
+
+        def run() -> None:
+            update(source, destination)
+            xor(encrypted, inp, out)
+
+        return run

@@ -48,6 +48,6 @@ def deal(path: Path, **changes: object) -> Path:
 
 def skip_sync(monkeypatch: pytest.MonkeyPatch) -> None:
     """Syncing only takes time where no crash is simulated."""
-    for module in ("durable", "tape_state", "tape_writer"):
-        monkeypatch.setattr(f"spdz.{module}.sync", lambda descriptor: None)
+    for module in ("durable", "state", "writer"):
+        monkeypatch.setattr(f"spdz.tape.{module}.sync", lambda descriptor: None)
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)

@@ -222,7 +222,7 @@ def test_the_top_bit_of_a_root_is_not_used() -> None:
 
 
 def test_keys_of_two_thresholds_differ_in_about_half_of_all_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("spdz.dcf.secrets.randbits", lambda bits: 1)
+    monkeypatch.setattr("spdz.dcf.dealing.secrets.randbits", lambda bits: 1)
     n, bits = 64, 40
     ones = np.frombuffer(Deal([(1 << bits) - 1] * n, bits, 2).key, dtype=np.uint8)[HEADER:]
     zeros = np.frombuffer(Deal([0] * n, bits, 2).key, dtype=np.uint8)[HEADER:]

@@ -3,8 +3,8 @@ from tape_helpers import ALPHA, CHAIN, chains, deal, skip_sync
 
 from spdz import prf
 from spdz.errors import TapeDamaged, TapeDestroyed, TapeError
-from spdz.high_water import default_state_dir
 from spdz.tape import Tape
+from spdz.tape.high_water import default_state_dir
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from tape_helpers import ALPHA, HEADER, chains, corrections, deal, skip_sync
 from spdz import prf
 from spdz.errors import TapeError, TapeExhausted, TapeInUse, TapeMismatch
 from spdz.tape import Tape
-from spdz.tape_format import CHUNK
+from spdz.tape.format import CHUNK
 
 
 @pytest.fixture(autouse=True)

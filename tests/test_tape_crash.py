@@ -12,8 +12,8 @@ from tape_helpers import ALPHA, CHAIN, chains, deal
 from spdz import prf
 from spdz.errors import TapeDestroyed, TapeError
 from spdz.tape import Tape
-from spdz.tape_format import SECTOR
-from spdz.tape_state import State, StateSlots, encode_slot
+from spdz.tape.format import SECTOR
+from spdz.tape.state import State, StateSlots, encode_slot
 
 FATES = ("kept", "lost", "torn", "reordered")
 WRITE, RENAME = os.pwrite, os.replace

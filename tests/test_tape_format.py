@@ -8,7 +8,7 @@ from tape_helpers import ALPHA, HEADER, chains, corrections, deal, skip_sync
 from spdz import prf
 from spdz.errors import TapeDamaged, TapeError
 from spdz.tape import Tape, TapeHeader
-from spdz.tape_format import SECTOR
+from spdz.tape.format import SECTOR
 
 
 @pytest.fixture(autouse=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from spdz.durable import create_private, make_private_folder, partial_name, sync, sync_folder
-from spdz.tape_format import CHUNK, SECTOR, Layout, TapeHeader, encode_header
-from spdz.tape_state import State, encode_slot
+from spdz.tape.durable import create_private, make_private_folder, partial_name, sync, sync_folder
+from spdz.tape.format import CHUNK, SECTOR, Layout, TapeHeader, encode_header
+from spdz.tape.state import State, encode_slot
 from spdz.types import Buffer
 
 _BUFFER = 1 << 18

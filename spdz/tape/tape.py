@@ -6,8 +6,8 @@ chain_{j+1} = next_chain(chain_j): a captured robot's tape does not tell the pad
 
 What keeps a job from being used twice, since that would reveal x - x' to the peer:
 
-- *Reserving.* ``reserve`` returns only when the high-water mark (:mod:`spdz.high_water`) and the cursor are
-  on the disk and the used chain values are not (:mod:`spdz.tape_state`). What was reserved stays used.
+- *Reserving.* ``reserve`` returns when the high-water mark (:mod:`spdz.tape.high_water`) and the cursor are
+  on the disk and the used chain values are not (:mod:`spdz.tape.state`). What was reserved stays used.
 - *One process.* The tape and its mark are locked; a fork and a second thread are noticed.
 - *Backups.* A tape behind its mark is moved up to it when it is opened.
 - *The peer.* ``resume`` starts at the larger of both sides' cursors.
@@ -27,15 +27,12 @@ from threading import Lock
 from types import TracebackType
 
 from spdz import prf
-from spdz.durable import try_lock
 from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeExhausted, TapeInUse, TapeMismatch
-from spdz.high_water import HighWater, Mark, default_state_dir
-from spdz.tape_corrections import read_corrections
-from spdz.tape_format import Layout, TapeHeader, read_header
-from spdz.tape_state import State, StateSlots
-from spdz.tape_writer import TapeWriter
-
-__all__ = ["Job", "Tape", "TapeHeader", "TapeWriter"]
+from spdz.tape.corrections import read_corrections
+from spdz.tape.durable import try_lock
+from spdz.tape.format import Layout, TapeHeader, read_header
+from spdz.tape.high_water import HighWater, Mark, default_state_dir
+from spdz.tape.state import State, StateSlots
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from spdz.errors import TapeDamaged
-from spdz.tape_format import CHUNK, Layout, TapeHeader
+from spdz.tape.format import CHUNK, Layout, TapeHeader
 
 
 def read_corrections(

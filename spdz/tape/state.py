@@ -25,8 +25,8 @@ import os
 import struct
 from dataclasses import dataclass, field
 
-from spdz.durable import sync, write_at
-from spdz.tape_format import DIGEST, SECTOR
+from spdz.tape.durable import sync, write_at
+from spdz.tape.format import DIGEST, SECTOR
 
 _SLOT = struct.Struct("<QQ?7x32s16s")
 _ZEROS = bytes(SECTOR)

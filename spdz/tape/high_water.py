@@ -18,8 +18,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from spdz.durable import PRIVATE_FILE, make_private_folder, replace_file, try_lock
 from spdz.errors import TapeDamaged, TapeError, TapeInUse
+from spdz.tape.durable import PRIVATE_FILE, make_private_folder, replace_file, try_lock
 
 _LONGEST = 1024  # bytes read of a mark file: a whole one has at most 240
 

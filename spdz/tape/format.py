@@ -5,7 +5,7 @@
     0           magic, format version, length of the header     PREFIX
     16          header, JSON                                    at most MAX_HEADER bytes
                 blake2b-16 of all the above                     the header's digest; then zeros to a sector
-    slots       two state slots, a sector each                  spdz.tape_state
+    slots       two state slots, a sector each                  spdz.tape.state
     corrections jobs x correction_bytes                         each padded to a multiple of 16
     checksums   jobs x ceil(correction_bytes / CHUNK) x CRC-32  one a chunk
     end
