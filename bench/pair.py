@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dealer.tapes import deal_tapes
+from spdz.allocator import keep_large_arrays_on_the_heap
 from spdz.channels import Channel
 from spdz.channels.tcp import connect, listen
 from spdz.clear import Clear
@@ -104,7 +105,8 @@ def _run_both(work: Callable[[int, Task, Any], None], task: Task) -> tuple[Measu
             child.terminate()
 
 
-def _pin(index: int) -> None:
+def _set_up(index: int) -> None:
+    keep_large_arrays_on_the_heap()
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[index % len(cores)]})
@@ -127,7 +129,7 @@ def _timed(trials: int, once: Callable[[], tuple[Any, Stats]]) -> Measured:
 
 def _secure_party(index: int, task: Task, pipe: Any) -> None:
     """Timed: quantise, expand seeds, mask, exchange, compute, open, check, decode."""
-    _pin(index)
+    _set_up(index)
     if task.tapes is None:
         raise ValueError("a secure party needs a tape")
     tape = Tape.open(task.tapes[index], state_dir=task.state)
@@ -143,7 +145,7 @@ def _secure_party(index: int, task: Task, pipe: Any) -> None:
 
 def _clear_party(index: int, task: Task, pipe: Any) -> None:
     """Timed: quantise, send, receive, compute on plain integers."""
-    _pin(index)
+    _set_up(index)
     shapes = (np.shape(task.inputs[0]), np.shape(task.inputs[1]))
     with _channel(index, task) as channel:
 

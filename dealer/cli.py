@@ -12,6 +12,7 @@ from pathlib import Path
 from dealer.mission import deal_mission
 from protocols.catalog import Purpose
 from protocols.scores import SCORES
+from spdz.allocator import keep_large_arrays_on_the_heap
 from spdz.fixed_point import MAX_NORM
 from spdz.progress import progress_bar
 
@@ -90,6 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the dealer; returns the exit status."""
     arguments = parser()
     options = arguments.parse_args(argv)
+    keep_large_arrays_on_the_heap()
     started = time.perf_counter()
     try:
         purpose = Purpose(

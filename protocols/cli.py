@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from protocols.catalog import Purpose
 from protocols.matching import Matches, match
+from spdz.allocator import keep_large_arrays_on_the_heap
 from spdz.errors import SpdzError
 from spdz.progress import progress_bar
 from spdz.session import Session, open_session
@@ -70,6 +71,7 @@ def load_descriptors(path: Path) -> npt.NDArray[Any]:
 
 def run_match(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
+    keep_large_arrays_on_the_heap()
     try:
         descriptors = load_descriptors(options.descriptors)
         with open_session(

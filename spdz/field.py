@@ -41,11 +41,16 @@ def zeros(shape: Shape | int) -> FieldArray:
 
 def _from_canonical(values: list[int], shape: Shape) -> FieldArray:
     """Pack integers in [0, p)."""
+    if len(values) == 1:
+        return np.frombuffer(bytearray(values[0].to_bytes(16, "little")), dtype="<u8").reshape((*shape, 2))
     packed = bytearray().join([value.to_bytes(16, "little") for value in values])
     return np.frombuffer(packed, dtype="<u8").reshape((*shape, 2))
 
 
-def _as_list(a: FieldArray) -> list[int]:
+def to_list(a: FieldArray) -> list[int]:
+    """All elements, flattened, as Python integers in [0, p)."""
+    if a.size == 2:
+        return [int.from_bytes(a.tobytes(), "little")]
     words = a.ravel().tolist()
     return [low | high << 64 for low, high in zip(words[::2], words[1::2], strict=True)]
 
@@ -61,8 +66,8 @@ def to_int(a: FieldArray) -> int:
     Raises:
         ValueError: if the array does not hold exactly one element.
     """
-    low, high = a.ravel().tolist()
-    return int(low | high << 64)
+    (value,) = to_list(a)
+    return value
 
 
 def from_ints(values: Any) -> FieldArray:
@@ -78,14 +83,14 @@ def from_ints(values: Any) -> FieldArray:
 def to_ints(a: FieldArray) -> BigIntArray:
     """Python integers in [0, p), as an object array of shape S."""
     result = np.empty(prod(a.shape[:-1]), dtype=object)
-    result[:] = _as_list(a)
+    result[:] = to_list(a)
     return result.reshape(a.shape[:-1])
 
 
 def centered(a: FieldArray) -> BigIntArray:
     """The representatives in (-p/2, p/2), as an object array of shape S."""
     result = np.empty(prod(a.shape[:-1]), dtype=object)
-    result[:] = [value - P if value > P // 2 else value for value in _as_list(a)]
+    result[:] = [value - P if value > P // 2 else value for value in to_list(a)]
     return result.reshape(a.shape[:-1])
 
 
@@ -169,7 +174,7 @@ def add(a: FieldArray, b: FieldArray) -> FieldArray:
     """Elementwise a + b."""
     if a.shape == b.shape and a.size <= 2 * _FEW_SUMS:
         return _from_canonical(
-            [(x + y) % P for x, y in zip(_as_list(a), _as_list(b), strict=True)], a.shape[:-1]
+            [(x + y) % P for x, y in zip(to_list(a), to_list(b), strict=True)], a.shape[:-1]
         )
     result = np.asarray(a + b)
     low, high = result[..., 0], result[..., 1]
@@ -187,7 +192,7 @@ def sub(a: FieldArray, b: FieldArray) -> FieldArray:
     """Elementwise a - b."""
     if a.shape == b.shape and a.size <= 2 * _FEW_SUMS:
         return _from_canonical(
-            [(x - y) % P for x, y in zip(_as_list(a), _as_list(b), strict=True)], a.shape[:-1]
+            [(x - y) % P for x, y in zip(to_list(a), to_list(b), strict=True)], a.shape[:-1]
         )
     a_low, b_low = a[..., 0], b[..., 0]
     low = np.asarray(a_low - b_low)
@@ -221,7 +226,7 @@ def sum(a: FieldArray, axis: int) -> FieldArray:
     if not -dimensions <= axis < dimensions:
         raise ValueError(f"axis {axis} is out of range for {dimensions} dimensions")
     if dimensions == 1 and a.size <= 2 * _FEW_ADDENDS:
-        return from_int(builtins.sum(_as_list(a)))
+        return from_int(builtins.sum(to_list(a)))
     halves = [half for word in (a[..., 0], a[..., 1]) for half in (word & _LOW32, word >> _SHIFT32)]
     return from_words32(np.stack([half.sum(axis=axis) for half in halves], axis=-1))
 
@@ -233,7 +238,7 @@ def mul(a: FieldArray, b: FieldArray) -> FieldArray:
         a, b = np.broadcast_to(a, shape), np.broadcast_to(b, shape)
     if a.size <= 2 * _FEW_PRODUCTS:
         return _from_canonical(
-            [x * y % P for x, y in zip(_as_list(a), _as_list(b), strict=True)], a.shape[:-1]
+            [x * y % P for x, y in zip(to_list(a), to_list(b), strict=True)], a.shape[:-1]
         )
     left, right = a.reshape((-1, 2)), b.reshape((-1, 2))
     result = np.empty(left.shape, dtype=np.uint64)
@@ -282,7 +287,7 @@ def _limbs26(a: FieldArray) -> npt.NDArray[np.uint64]:
 def scale(a: FieldArray, k: int) -> FieldArray:
     """Elementwise k * a for one integer k of either sign, taken mod p."""
     if a.size <= 2 * _FEW_SCALED:
-        return _from_canonical([k * x % P for x in _as_list(a)], a.shape[:-1])
+        return _from_canonical([k * x % P for x in to_list(a)], a.shape[:-1])
     # k a = sum_i a_i (2^16i k mod p) over the 16-bit limbs a_i, in base 2^32: a float64 matrix product
     # whose entries are below 8 * 2^16 * 2^32 = 2^51 < 2^53, hence exact.
     rows = _from_canonical([(k << 16 * i) % P for i in range(8)], (8,)).view("<u4").astype(np.float64)

@@ -35,23 +35,27 @@ _RING = FieldRing()
 class JobStream:
     """The pad and the correction of one job, consumed from front to back."""
 
-    __slots__ = ("_correction", "_correction_at", "_pad", "_pad_at")
+    __slots__ = ("_blocks", "_correction", "_correction_at", "_pad", "_pad_at")
 
     def __init__(self, key: bytes, pad_bytes: int, correction: Buffer) -> None:
-        self._pad = expand(key, pad_bytes)
+        self._blocks = expand(key, pad_bytes)
+        self._pad = field.from_blocks(self._blocks)
         self._correction = memoryview(correction)
         self._pad_at = self._correction_at = 0
 
-    def pad_blocks(self, shape: Shape) -> Block:
-        """The next pseudo-random 128-bit blocks."""
-        start, self._pad_at = self._pad_at, self._pad_at + prod(shape)
+    def _next(self, count: int) -> slice:
+        start, self._pad_at = self._pad_at, self._pad_at + count
         if self._pad_at > len(self._pad):
             raise TapeDamaged("the job's pad is shorter than the program needs")
-        return self._pad[start : self._pad_at].reshape((*shape, 2))
+        return slice(start, self._pad_at)
+
+    def pad_blocks(self, shape: Shape) -> Block:
+        """The next pseudo-random 128-bit blocks."""
+        return self._blocks[self._next(prod(shape))].reshape((*shape, 2))
 
     def pad(self, shape: Shape) -> FieldArray:
         """The next pseudo-random field elements."""
-        return field.from_blocks(self.pad_blocks(shape))
+        return self._pad[self._next(prod(shape))].reshape((*shape, 2))
 
     def correction_bytes(self, size: int) -> memoryview:
         """The next stored bytes."""

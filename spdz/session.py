@@ -12,6 +12,7 @@ it had reserved stays burnt. After a failed MAC check its tape is destroyed as w
 from __future__ import annotations
 
 import hashlib
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +40,7 @@ from spdz.meter import Plan, measure
 from spdz.party import JobStream, Party
 from spdz.program import Program, declare, quantise, run
 from spdz.stats import Stats
-from spdz.tape import Job, Tape
+from spdz.tape import Tape
 from spdz.types import IntArray, Json, Shape
 
 
@@ -71,7 +72,7 @@ class Session:
     def __init__(self, tape: Tape, channel: Channel) -> None:
         self._tape, self._channel = tape, channel
         self._dead: str | None = None
-        self._reserved: list[Job] = []
+        self._reserved: deque[JobStream] = deque()
         self._plans: dict[int, tuple[Program, Plan]] = {}
         self._agreed: tuple[str, str] | None = None
         self._mac_check: MacCheck | None = None
@@ -125,7 +126,7 @@ class Session:
     # -- running -------------------------------------------------------------------------------------
 
     def reserve(self, jobs: int) -> None:
-        """Read so many jobs ahead and mark them used, durably, in one go.
+        """Read so many jobs ahead, mark them used, durably, in one go, and expand their pads.
 
         What is reserved and not run when the session ends is lost. Without a call, every run reserves
         what it needs, at the price of a disk flush.
@@ -134,7 +135,7 @@ class Session:
             TapeExhausted: if fewer jobs are left; nothing is consumed.
         """
         with self._guard():
-            self._reserved += self._tape.reserve(jobs)
+            self._reserve(jobs)
 
     def run(self, program: Program, data: npt.ArrayLike) -> Result:
         """Run one job on this party's input.
@@ -161,8 +162,8 @@ class Session:
         with self._guard():
             self._agree_on(plan, program, len(inputs))
             if len(inputs) > len(self._reserved):
-                self._reserved += self._tape.reserve(len(inputs) - len(self._reserved))
-            jobs, self._reserved = self._reserved[: len(inputs)], self._reserved[len(inputs) :]
+                self._reserve(len(inputs) - len(self._reserved))
+            jobs = [self._reserved.popleft() for _ in inputs]
             stats = Stats()
             lanes = [self._lane(program, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)]
             values = run_channel(drive(_all(lanes), self._mac_check), self._channel, stats)
@@ -233,10 +234,15 @@ class Session:
     def _alpha(self) -> int | None:
         return int.from_bytes(self._tape.alpha, "little") if self.header.security == "malicious" else None
 
-    def _lane(self, program: Program, job: Job, raw: IntArray, stats: Stats) -> Any:
+    def _reserve(self, jobs: int) -> None:
+        pad_bytes = self.header.pad_bytes
+        self._reserved.extend(
+            JobStream(job.key, pad_bytes, job.correction) for job in self._tape.reserve(jobs)
+        )
+
+    def _lane(self, program: Program, job: JobStream, raw: IntArray, stats: Stats) -> Any:
         header = self._tape.header
-        stream = JobStream(job.key, header.pad_bytes, job.correction)
-        party = Party(self.party, header.security, stream, self._mac_check, self._alpha, stats)
+        party = Party(self.party, header.security, job, self._mac_check, self._alpha, stats)
         return run(party, program, declare(program, self.shapes, {self.party: raw}))
 
     # -- ending --------------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ DOT = Contraction(
     inner_product.dot,
     _clear_dot,
     _dot_shape,
-    prepare=inner_product.limbs,
+    prepare=inner_product.prepare,
     small_product=inner_product.small_dot,
 )
 ELEMENTWISE = Contraction(

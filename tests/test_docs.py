@@ -1,0 +1,185 @@
+"""The documentation: its examples run, its links and names exist, and it names what there is to name."""
+
+import argparse
+import dataclasses
+import importlib
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import bench.cli
+import dealer.cli
+import spdz
+from bench.demo.cli import add_demo
+from bench.pair import free_port
+from protocols.cli import add_match
+from spdz import errors
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+WITH_EXAMPLES = [ROOT / "README.md", ROOT / "docs" / "tutorial.md", ROOT / "docs" / "how-to.md"]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FOREIGN_OPTIONS = {"--help"}
+ERRORS = [key for key, item in vars(errors).items() if isinstance(item, type)]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def read(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def prose(page: Path) -> str:
+    """A page without its fenced blocks."""
+    return FENCE.sub("", read(page))
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return [body for kind, body in FENCE.findall(read(page)) if kind == language]
+
+
+def code_spans(page: Path) -> list[str]:
+    return re.findall(r"`([^`\n]+)`", prose(page))
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def run_commands(commands: list[str], folder: Path) -> str:
+    """Run a page's commands in order; a listening robot and the one that connects to it run together."""
+    waiting: list[tuple[str, subprocess.Popen[str]]] = []
+    outputs = []
+    for command in commands:
+        program, *arguments = shlex.split(command)
+        assert program == "python", command
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        process = subprocess.Popen([sys.executable, *arguments], cwd=folder, text=True, **pipes)
+        waiting.append((command, process))
+        if "--listen" in arguments:
+            continue
+        for shown, running in waiting:
+            try:
+                output, _ = running.communicate(timeout=60)
+            finally:
+                running.kill()
+            assert running.returncode == 0, f"{shown}\n{output}"
+            outputs.append(output)
+        waiting = []
+    assert not waiting, "a robot listens and nobody connects"
+    return "\n".join(outputs)
+
+
+@pytest.mark.parametrize("page", WITH_EXAMPLES, ids=name)
+def test_examples_run_as_they_stand(page, tmp_path, monkeypatch):
+    """Python blocks share one namespace and one folder, and commands run where they stand between them.
+
+    A line ``match: ...`` that the page shows is one that its commands print.
+    """
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    namespace: dict[str, object] = {"__name__": "example"}
+    ran, printed = 0, ""
+    for number, (language, body) in enumerate(FENCE.findall(read(page))):
+        source = body.replace("127.0.0.1:9000", f"127.0.0.1:{free_port()}")
+        if language == "python":
+            exec(compile(source, f"{name(page)}, block {number}", "exec"), namespace)
+        elif language == "bash":
+            printed += run_commands(source.splitlines(), tmp_path)
+        ran += language in ("python", "bash")
+    assert ran >= 4
+    for line in re.findall(r"match: \w+ \d+  \w+ \d+", read(page)):
+        assert line in printed
+
+
+@pytest.mark.parametrize("page", WITH_EXAMPLES, ids=name)
+def test_examples_are_short(page):
+    for block in blocks(page, "python"):
+        assert block.count("\n") <= 40, block
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_every_relative_link_leads_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if "://" in target:
+            continue
+        path, _, anchor = target.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        assert there.is_file(), target
+        if anchor:
+            assert anchor in anchors(there), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_every_file_and_module_that_is_named_exists(page):
+    for span in code_spans(page):
+        if re.fullmatch(r"(?:spdz|protocols|dealer|bench|tests|docs)/[\w./-]+", span):
+            assert (ROOT / span).exists(), span
+        elif re.match(r"(?:spdz|protocols|dealer|bench)\.[\w.]+(?:\(|$)", span):
+            resolve(span.partition("(")[0])
+
+
+def resolve(dotted: str) -> object:
+    """Import a module or fetch an attribute of one; raises if there is none."""
+    module, _, attribute = dotted.rpartition(".")
+    try:
+        return importlib.import_module(dotted)
+    except ModuleNotFoundError:
+        return getattr(importlib.import_module(module), attribute)
+
+
+def known_options() -> set[str]:
+    """Every option of every command."""
+    parser = argparse.ArgumentParser()
+    commands = parser.add_subparsers()
+    add_match(commands)
+    add_demo(commands)
+    parsers = [dealer.cli.parser(), bench.cli.parser(), *commands.choices.values()]
+    return {option for one in parsers for action in one._actions for option in action.option_strings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_every_option_that_is_named_exists(page):
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", read(page)))
+    assert named - known_options() - FOREIGN_OPTIONS == set()
+
+
+def test_the_reference_names_every_option():
+    named = set(re.findall(r"--[a-z][a-z-]*", read(ROOT / "docs" / "reference.md")))
+    assert {option for option in known_options() if option.startswith("--")} - named <= FOREIGN_OPTIONS
+
+
+def test_the_reference_names_everything_public():
+    text = read(ROOT / "docs" / "reference.md")
+    section = text.partition("### Package `spdz`")[2].partition("###")[0]
+    entries = re.findall(r"`(?:await )?(\w+)", " ".join(re.findall(r"^\|([^|]*)\|", section, re.MULTILINE)))
+    tree = text.partition("## Errors")[2].partition("## ")[0]
+    assert set(spdz.__all__) - set(ERRORS) <= set(entries)
+    assert set(ERRORS) <= set(re.findall(r"\w+", tree))
+
+
+def test_the_reference_names_every_field_of_the_benchmark_and_every_counter():
+    spans = set(code_spans(ROOT / "docs" / "reference.md"))
+    for kind in (bench.cli.Row, spdz.Stats):
+        assert {field.name for field in dataclasses.fields(kind)} <= spans
+
+
+def test_how_to_says_what_to_do_about_every_error():
+    rows = re.findall(r"^\| `(\w+)` \|", read(ROOT / "docs" / "how-to.md"), re.MULTILINE)
+    assert set(ERRORS) - {"SpdzError", "TapeError"} <= set(rows)
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "decisions").glob("*.md")), ids=name)
+def test_decision_records_are_short_and_say_what_follows(page):
+    text = read(page)
+    assert text.count("\n") < 25
+    for part in ("**Context.**", "**Decision.**", "**Consequences.**"):
+        assert part in text
