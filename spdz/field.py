@@ -237,9 +237,7 @@ def mul(a: FieldArray, b: FieldArray) -> FieldArray:
         shape = np.broadcast_shapes(a.shape, b.shape)
         a, b = np.broadcast_to(a, shape), np.broadcast_to(b, shape)
     if a.size <= 2 * _FEW_PRODUCTS:
-        return _from_canonical(
-            [x * y % P for x, y in zip(to_list(a), to_list(b), strict=True)], a.shape[:-1]
-        )
+        return _from_canonical([x * y % P for x, y in zip(to_list(a), to_list(b), strict=True)], a.shape[:-1])
     left, right = a.reshape((-1, 2)), b.reshape((-1, 2))
     result = np.empty(left.shape, dtype=np.uint64)
     for start in range(0, len(result), _TILE):
