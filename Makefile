@@ -21,8 +21,8 @@ bench: $(VENV)/.test
 
 # One marker file an extra; a change of pyproject.toml installs again.
 $(VENV)/.demo: EXTRA = demo
-$(VENV)/.test: EXTRA = test
-$(VENV)/.check: EXTRA = test,check
+$(VENV)/.test: EXTRA = test,demo
+$(VENV)/.check: EXTRA = check,test,demo
 $(VENV)/.%: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[$(EXTRA)]'

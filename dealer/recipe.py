@@ -22,6 +22,7 @@ from spdz.meter import Plan
 from spdz.party import JobStream
 from spdz.program import Program, run
 from spdz.rings import FieldRing
+from spdz.stock import Stock
 from spdz.types import Buffer, FieldArray, IntArray, Security, Shape
 from spdz.value import Value
 from spdz.wire import to_bytes
@@ -148,7 +149,26 @@ def deal_job(
     Returns:
         Both parties' corrections.
     """
-    pads = tuple(JobStream(key, size, b"") for key, size in zip(keys, plan.pad_bytes, strict=True))
-    job = DealtJob(security, (pads[0], pads[1]), mac_key)
+    job = _new_job(plan.pad_bytes, security, keys, mac_key)
     run_silently(run(job, program, plan.inputs))
     return job.corrections
+
+
+def deal_stock(
+    stock: Stock,
+    pad_bytes: tuple[int, int],
+    security: Security,
+    keys: tuple[bytes, bytes],
+    mac_key: MacKey | None,
+) -> tuple[bytes, bytes]:
+    """Deal a stock of triples, for no program in particular; arguments as for :func:`deal_job`."""
+    job = _new_job(pad_bytes, security, keys, mac_key)
+    stock.deal(job)
+    return job.corrections
+
+
+def _new_job(
+    pad_bytes: tuple[int, int], security: Security, keys: tuple[bytes, bytes], mac_key: MacKey | None
+) -> DealtJob:
+    first, second = (JobStream(key, size, b"") for key, size in zip(keys, pad_bytes, strict=True))
+    return DealtJob(security, (first, second), mac_key)

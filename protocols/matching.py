@@ -21,7 +21,7 @@ from spdz.errors import ProtocolViolation, TapeExhausted
 from spdz.session import Session
 from spdz.stats import Stats
 
-_BATCH_BYTES = 8 << 20
+_BATCH_BYTES = 2 << 20
 """Tiles share rounds up to about this many bytes of masked descriptors."""
 
 _BATCH_JOBS = 64

@@ -22,6 +22,7 @@ from spdz.meter import Plan, measure
 from spdz.program import Program
 from spdz.session import Result, Session, open_session
 from spdz.stats import Outcome, Stats
+from spdz.stock import Stock
 from spdz.value import Value
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "Session",
     "SpdzError",
     "Stats",
+    "Stock",
     "TapeDamaged",
     "TapeDestroyed",
     "TapeError",

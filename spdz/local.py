@@ -14,15 +14,16 @@ import numpy.typing as npt
 
 from spdz.channels.frames import HEADER_BYTES
 from spdz.clear import Clear
-from spdz.coroutine import Exchange
+from spdz.coroutine import Exchange, Protocol
 from spdz.engine import Evaluation
 from spdz.errors import ProtocolViolation
 from spdz.mac_check import MacCheck, drive
-from spdz.meter import Plan, measure
+from spdz.meter import measure, measure_stock
 from spdz.party import JobStream, Party
 from spdz.program import Program, declare, quantise, run
 from spdz.stats import Outcome, Stats
-from spdz.types import IntArray, Security
+from spdz.stock import Stock, StockedParty
+from spdz.types import IntArray, Security, Shape
 
 Tamper = Callable[[int, int, bytes], bytes]
 """``tamper(round, sender, frame) -> frame``: may change what ``sender`` (0 or 1) sends in a round."""
@@ -34,6 +35,7 @@ def run_local(
     y: npt.ArrayLike,
     security: Security = "malicious",
     *,
+    stock: Stock | None = None,
     tamper: Tamper | None = None,
 ) -> Outcome:
     """Deal for a program, run both parties in this process, and return what they learn.
@@ -43,6 +45,7 @@ def run_local(
         x: Party 0's input: real numbers of shape S + (N,).
         y: Party 1's input: real numbers of shape T + (N,).
         security: ``"malicious"`` or ``"semi-honest"``.
+        stock: Deal this stock of Beaver triples instead of dealing for the program.
         tamper: Test hook that sees, and may change, every frame's payload.
 
     Returns:
@@ -52,6 +55,7 @@ def run_local(
         ValueError: if an input is not finite, has a wrong shape or dtype, or is out of range.
         MacCheckFailed: if a frame was tampered with (malicious mode).
         ProtocolViolation: if a tampered frame is not even well-formed.
+        TapeExhausted: if the program needs more than the stock holds.
 
     Example:
         >>> from protocols.scores import S10
@@ -60,14 +64,13 @@ def run_local(
     """
     data = _quantised(program, x, y)
     shapes = (data[0].shape, data[1].shape)
-    plan = measure(program, shapes, security)
     stats = (Stats(), Stats())
-    parties = _deal_in_process(program, plan, security, stats)
-    lanes = [
-        drive(run(party, program, declare(program, shapes, {party.index: data[party.index]})), mac_check)
-        for party, mac_check in parties
+    parties = _deal_in_process(program, shapes, security, stock, stats)
+    protocols = [
+        run(party, program, declare(program, shapes, {party.index: data[party.index]}))
+        for party, _ in parties
     ]
-    return Outcome(_lock_step(lanes, stats, tamper), stats)
+    return Outcome(_lock_step(protocols, [check for _, check in parties], stats, tamper), stats)
 
 
 def run_clear(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> Outcome:
@@ -84,11 +87,10 @@ def run_clear(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> Outcome:
     data = _quantised(program, x, y)
     shapes = (data[0].shape, data[1].shape)
     stats = (Stats(), Stats())
-    lanes = [
-        drive(run(Clear(index), program, declare(program, shapes, {index: data[index]})), None)
-        for index in (0, 1)
+    protocols = [
+        run(Clear(index), program, declare(program, shapes, {index: data[index]})) for index in (0, 1)
     ]
-    return Outcome(_lock_step(lanes, stats, None), stats)
+    return Outcome(_lock_step(protocols, (None, None), stats, None), stats)
 
 
 def _quantised(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[IntArray, IntArray]:
@@ -96,31 +98,46 @@ def _quantised(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[In
 
 
 def _deal_in_process(
-    program: Program, plan: Plan, security: Security, stats: tuple[Stats, Stats]
+    program: Program,
+    shapes: tuple[Shape, Shape],
+    security: Security,
+    stock: Stock | None,
+    stats: tuple[Stats, Stats],
 ) -> list[tuple[Evaluation, MacCheck | None]]:
     """Deal one job and give each party its half. This is a door to the dealer, as ``spdz.dealer`` is."""
     from dealer.randomness import random_mac_key
-    from dealer.recipe import deal_job
+    from dealer.recipe import deal_job, deal_stock
 
     mac_key = random_mac_key() if security == "malicious" else None
     keys = (secrets.token_bytes(32), secrets.token_bytes(32))
-    corrections = deal_job(program, plan, security, keys, mac_key)
+    if stock is None:
+        plan = measure(program, shapes, security)
+        pad_bytes, corrections = plan.pad_bytes, deal_job(program, plan, security, keys, mac_key)
+    else:
+        pad_bytes = measure_stock(stock, security)
+        corrections = deal_stock(stock, pad_bytes, security, keys, mac_key)
     session = secrets.token_bytes(32)
     parties: list[tuple[Evaluation, MacCheck | None]] = []
     for index in (0, 1):
         alpha = None if mac_key is None else mac_key.shares[index]
         mac_check = None if alpha is None else MacCheck(alpha, index, session)
-        stream = JobStream(keys[index], plan.pad_bytes[index], corrections[index])
-        parties.append((Party(index, security, stream, mac_check, alpha, stats[index]), mac_check))
+        stream = JobStream(keys[index], pad_bytes[index], corrections[index])
+        if stock is None:
+            party = Party(index, security, stream, mac_check, alpha, stats[index])
+        else:
+            party = StockedParty(stock, index, security, stream, mac_check, alpha, stats[index])
+        parties.append((party, mac_check))
     return parties
 
 
 def _lock_step(
-    lanes: Sequence[Generator[Exchange, memoryview, Any]],
+    protocols: Sequence[Protocol[Any]],
+    mac_checks: Sequence[MacCheck | None],
     stats: tuple[Stats, Stats],
     tamper: Tamper | None,
 ) -> Any:
-    """Step both parties round by round until both return; returns their common result."""
+    """Step both parties round by round until both return; returns party 0's result."""
+    lanes = [drive(protocol, check) for protocol, check in zip(protocols, mac_checks, strict=True)]
     try:
         requests = [next(lane) for lane in lanes]
         number = 0
@@ -146,8 +163,9 @@ def _lock_step(
                 raise ProtocolViolation("one party finished before the other")
             number += 1
     finally:
-        for lane in lanes:
+        for lane, protocol in zip(lanes, protocols, strict=True):
             lane.close()
+            protocol.close()  # a lane that was never started does not close it
 
 
 def _step(lane: Generator[Exchange, memoryview, Any], reply: memoryview) -> Exchange | tuple[Any]:

@@ -23,6 +23,7 @@ from spdz.coroutine import Check, Request, exchange, run_silently
 from spdz.engine import Gate, Input, Recipe
 from spdz.fixed_point import FRACTION_BITS
 from spdz.program import Program, declare, run
+from spdz.stock import Stock
 from spdz.types import FieldArray, IntArray, Security, Shape
 from spdz.value import Value
 from spdz.wire import ELEMENT_BYTES
@@ -259,3 +260,10 @@ def measure(program: Program, shapes: tuple[Shape, Shape], security: Security) -
         recipe=_digest("recipe", kind, *(symbol.recipe for symbol in meter.trace)).hex(),
         text=_digest("text", kind, *(symbol.text for symbol in meter.trace)).hex(),
     )
+
+
+def measure_stock(stock: Stock, security: Security) -> tuple[int, int]:
+    """Pad bytes of both parties for a stock of triples."""
+    meter = Meter(security)
+    stock.deal(meter)
+    return meter.pad_bytes[0], meter.pad_bytes[1]

@@ -8,8 +8,6 @@ import shutil
 import sys
 from pathlib import Path
 
-from bench.demo.run import DemoFailed, run_demo
-
 
 def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the ``demo`` command."""
@@ -27,6 +25,13 @@ def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 
 
 def _run(options: argparse.Namespace) -> int:
+    """Run the demo; what it needs beyond the base install is imported here only."""
+    try:
+        from bench.demo.report import show
+        from bench.demo.run import DemoFailed, run_demo
+    except ImportError as error:
+        print(f"python -m spdz demo: {error}; install the extra: pip install 'spdz[demo]'", file=sys.stderr)
+        return 1
     try:
         report = run_demo(options.out, options.security)
     except (DemoFailed, ImportError) as error:
@@ -35,7 +40,5 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(report.as_dict()))
         return 0
-    from bench.demo.report import show
-
     show(report, shutil.get_terminal_size().columns)
     return 0

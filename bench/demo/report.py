@@ -28,7 +28,9 @@ def _found(report: Report) -> Table:
         table.add_column(name, justify="left" if not name else "right")
     private, clear = report.private_quality, report.clear_quality
     table.add_row("pairs compared", f"{report.pairs:,}", f"{report.pairs:,}")
-    table.add_row(f"candidates (score >= {report.threshold})", f"{report.candidates:,}", "")
+    table.add_row(
+        f"candidates (score >= {report.threshold})", f"{report.candidates:,}", f"{report.clear_candidates:,}"
+    )
     table.add_row("same place by the pose graph", _places(private), _places(clear))
     table.add_row("another place", str(private.false_positives), str(clear.false_positives))
     table.add_row("precision", f"{private.precision:.2f}", f"{clear.precision:.2f}")

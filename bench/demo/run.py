@@ -45,6 +45,7 @@ class Report:
     threshold: float
     pairs: int
     candidates: int
+    clear_candidates: int
     private_quality: places.Quality
     clear_quality: places.Quality
     disagreements: int
@@ -113,6 +114,7 @@ def run_demo(out: Path, security: Security = "malicious") -> Report:
         threshold=places.DEFAULT_THRESHOLD,
         pairs=int(decisions.size),
         candidates=int(private.sum()),
+        clear_candidates=int(clear.sum()),
         private_quality=places.precision_recall(private, truth),
         clear_quality=places.precision_recall(clear, truth),
         disagreements=int((decisions != exact).sum()),
