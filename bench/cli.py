@@ -23,7 +23,7 @@ _EPILOG = """\
 Two processes on this machine, pinned to a core each where the system allows it, over loopback TCP. Every
 engine is measured in the same run, so that ratios hold on a noisy machine; times are medians of single
 comparisons from plain floats to the opened and (malicious) MAC-checked result. Not timed: dealing, starting
-up, and reading the tape ahead.
+up, and reading the tape ahead (which expands the pads).
 
 examples:
   python -m bench --score S10 --dim 8192 --security malicious --trials 10 --json

@@ -128,7 +128,7 @@ def _timed(trials: int, once: Callable[[], tuple[Any, Stats]]) -> Measured:
 
 
 def _secure_party(index: int, task: Task, pipe: Any) -> None:
-    """Timed: quantise, expand seeds, mask, exchange, compute, open, check, decode."""
+    """Timed: quantise, mask, exchange, compute, open, check, decode. Not: reading the tape and its pads."""
     _set_up(index)
     if task.tapes is None:
         raise ValueError("a secure party needs a tape")

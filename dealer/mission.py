@@ -8,6 +8,7 @@ before the mission, and absent during it.
 from __future__ import annotations
 
 import secrets
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -75,23 +76,28 @@ def deal_mission(
             raise FileExistsError(
                 f"{out / agent} exists; dealt material is never overwritten: choose another --out"
             )
-    for agent in agents:
-        write_credentials(out / agent, credentials[agent])
-    jobs = -(-comparisons // purpose.pairs)
-    mission = secrets.token_hex(16)
-    couples = list(combinations(agents, 2))
-    for number, couple in enumerate(couples):
-        deal_tapes(
-            (out / couple[0] / f"{couple[1]}.tape", out / couple[1] / f"{couple[0]}.tape"),
-            couple,
-            purpose.dealt_program,
-            purpose.shapes,
-            jobs,
-            security,
-            mission=mission,
-            description=purpose.as_json(),
-            progress=partial(_progress_of, progress, number * jobs, len(couples) * jobs),
-        )
+    try:
+        for agent in agents:
+            write_credentials(out / agent, credentials[agent])
+        jobs = -(-comparisons // purpose.pairs)
+        mission = secrets.token_hex(16)
+        couples = list(combinations(agents, 2))
+        for number, couple in enumerate(couples):
+            deal_tapes(
+                (out / couple[0] / f"{couple[1]}.tape", out / couple[1] / f"{couple[0]}.tape"),
+                couple,
+                purpose.dealt_program,
+                purpose.shapes,
+                jobs,
+                security,
+                mission=mission,
+                description=purpose.as_json(),
+                progress=partial(_progress_of, progress, number * jobs, len(couples) * jobs),
+            )
+    except BaseException:
+        for agent in agents:  # half a mission is of no use, and these folders were not there before
+            shutil.rmtree(out / agent, ignore_errors=True)
+        raise
     sizes = {out / agent: sum(file.stat().st_size for file in (out / agent).iterdir()) for agent in agents}
     return Dealt(sizes, jobs * purpose.pairs, jobs, len(couples))
 

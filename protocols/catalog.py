@@ -9,8 +9,10 @@ from typing import Any, Literal
 from protocols.candidate import is_candidate
 from protocols.scores import SCORES
 from spdz import Program
+from spdz.channels.frames import MAX_FRAME
 from spdz.fixed_point import MAX_NORM, norm_bound
 from spdz.types import Shape
+from spdz.wire import ELEMENT_BYTES
 
 Reveal = Literal["bit", "score"]
 
@@ -40,6 +42,11 @@ class Purpose:
             raise ValueError(f"reveal must be 'bit' or 'score', not {self.reveal!r}")
         if self.dim < 1 or len(self.tile) != 2 or min(self.tile) < 1:
             raise ValueError("dimension and tile must be positive")
+        if max(self.tile) * self.dim * ELEMENT_BYTES > MAX_FRAME or self.pairs * ELEMENT_BYTES > MAX_FRAME:
+            raise ValueError(
+                f"a job of {self.tile[0]} x {self.tile[1]} descriptors of dimension {self.dim} does not fit "
+                f"a frame of {MAX_FRAME >> 20} MB; choose a smaller tile"
+            )
         norm_bound(self.max_norm, self.dim)  # raises for a norm out of range
 
     @property

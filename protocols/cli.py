@@ -15,9 +15,10 @@ import numpy.typing as npt
 from protocols.catalog import Purpose
 from protocols.matching import Matches, match
 from spdz.allocator import keep_large_arrays_on_the_heap
+from spdz.connect import open_session
 from spdz.errors import SpdzError
 from spdz.progress import progress_bar
-from spdz.session import Session, open_session
+from spdz.session import Session
 
 _EPILOG = """\
 example, in two terminals (either may start first):

@@ -85,17 +85,18 @@ def match(
     if type(theirs) is not int or not 1 <= theirs <= 1 << 24:
         raise ProtocolViolation("the peer's number of descriptors is not a sensible number")
     own_axis, peer_axis = session.party, 1 - session.party
-    own_blocks = _blocks(own, purpose.tile[own_axis])
     peer_blocks = -(-theirs // purpose.tile[peer_axis])
-    grid = [(i, j) for i in range(len(own_blocks)) for j in range(peer_blocks)]
-    if session.party == 1:  # both sides walk the grid in the order of party 0
-        grid.sort(key=lambda place: (place[1], place[0]))
-    if len(grid) > session.remaining:
+    needed = -(-len(own) // purpose.tile[own_axis]) * peer_blocks
+    if needed > session.remaining:
         raise TapeExhausted(
-            f"{len(own)} x {theirs} descriptors need {len(grid)} jobs of {purpose.pairs} comparisons, and "
+            f"{len(own)} x {theirs} descriptors need {needed} jobs of {purpose.pairs} comparisons, and "
             f"{session.remaining} are left; deal more with `python -m spdz.dealer` (a larger --count, or "
             "--tile for fewer bytes)"
         )
+    own_blocks = _blocks(own, purpose.tile[own_axis])
+    grid = [(i, j) for i in range(len(own_blocks)) for j in range(peer_blocks)]
+    if session.party == 1:  # both sides walk the grid in the order of party 0
+        grid.sort(key=lambda place: (place[1], place[0]))
     kind = np.bool_ if purpose.reveal == "bit" else np.float64
     table = np.zeros((len(own_blocks) * purpose.tile[own_axis], peer_blocks * purpose.tile[peer_axis]), kind)
     stats, done = Stats(), 0

@@ -1,11 +1,13 @@
 """Two-party SPDZ in Python and NumPy: two robots learn whether two descriptors match, and nothing else."""
 
+from spdz.connect import open_session
 from spdz.engine import Engine
 from spdz.errors import (
     ChannelClosed,
     ChannelError,
     ChannelTimeout,
     MacCheckFailed,
+    OutOfStep,
     PeerAborted,
     ProtocolViolation,
     SpdzError,
@@ -20,7 +22,7 @@ from spdz.gates import beaver_dot, beaver_multiply, dot, multiply, nonnegative
 from spdz.local import run_clear, run_local
 from spdz.meter import Plan, measure
 from spdz.program import Program
-from spdz.session import Result, Session, open_session
+from spdz.session import Result, Session
 from spdz.stats import Outcome, Stats
 from spdz.stock import Stock
 from spdz.value import Value
@@ -31,6 +33,7 @@ __all__ = [
     "ChannelTimeout",
     "Engine",
     "MacCheckFailed",
+    "OutOfStep",
     "Outcome",
     "PeerAborted",
     "Plan",

@@ -5,6 +5,7 @@
     SpdzError
     ├── MacCheckFailed       the peer (or somebody on the line) changed a share; the tape is destroyed
     ├── ProtocolViolation    the peer sent something that no honest peer sends
+    │   └── OutOfStep        the peer is at another step: it makes other calls than this side
     ├── ChannelError         the connection could not be made or did not last
     │   ├── ChannelTimeout   the peer did not answer within the time limit
     │   ├── ChannelClosed    the peer hung up
@@ -17,8 +18,9 @@
         └── TapeDestroyed    the tape was wiped after a failed MAC check
 
 Bad *local* input (not finite, wrong shape, out of range) is a plain :class:`ValueError`, raised before
-anything is consumed or sent. After any ``SpdzError`` the session is dead: nothing is output, and what
-was reserved stays burnt.
+anything is consumed or sent. After any other error that a running session raises it is dead: nothing is
+output, and what was reserved stays burnt. (What is refused before anything was sent, such as a tape with too
+few jobs for a matching, leaves the session alive.)
 """
 
 
@@ -32,6 +34,10 @@ class MacCheckFailed(SpdzError):
 
 class ProtocolViolation(SpdzError):
     """The peer sent a frame that no honest peer sends at this point."""
+
+
+class OutOfStep(ProtocolViolation):
+    """The peer is at another step of the session: the two sides do not make the same calls."""
 
 
 class ChannelError(SpdzError):

@@ -1,6 +1,7 @@
 """Key derivation and pseudo-random expansion: SHA-256 ratchet, AES-CTR, fixed-key AES hash.
 
-A tape's jobs draw their keys from a forward ratchet: ``chain' = H(next, chain)``, ``key = H(job, chain)``.
+A tape's jobs draw their keys from a forward ratchet: ``chain' = H(next, chain)``, ``key = H(job, chain)``;
+a third hash gives the key under which the job's stored correction is sealed.
 Once a chain value is overwritten, neither it nor an earlier job's key can be recomputed (forward secrecy).
 """
 
@@ -21,6 +22,7 @@ _BLOCK = 16
 _ZERO_COUNTER = bytes(_BLOCK)
 _NEXT = b"spdz prf v1: next chain\0"
 _JOB = b"spdz prf v1: job key\0"
+_SEAL = b"spdz prf v1: seal key\0"
 _FIXED_KEY_LABEL = b"spdz prf v1: fixed AES key"
 
 
@@ -32,6 +34,17 @@ def next_chain(chain: bytes) -> bytes:
 def job_key(chain: bytes) -> bytes:
     """The 32-byte key of the job at this step of the ratchet, independent of :func:`next_chain`."""
     return hashlib.sha256(_JOB + chain).digest()
+
+
+def seal_key(chain: bytes) -> bytes:
+    """The 32-byte key that this job's stored correction is sealed under, independent of the others."""
+    return hashlib.sha256(_SEAL + chain).digest()
+
+
+def seal(key: bytes, data: memoryview) -> None:
+    """Encrypt or decrypt in place: XOR with the AES-CTR stream of a key that is used for nothing else."""
+    if data.nbytes:
+        Cipher(algorithms.AES(key), modes.CTR(_ZERO_COUNTER)).encryptor().update_into(data, data)
 
 
 def expand(key: bytes, nbytes: int) -> Block:

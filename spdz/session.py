@@ -15,23 +15,21 @@ import hashlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy.typing as npt
 
-from spdz.channels import AbortReason, Channel, FrameKind, tcp, tls
+from spdz.channels import Channel, FrameKind
+from spdz.channels.frames import MAX_FRAME, abort_reason
 from spdz.coroutine import parallel
 from spdz.driver import run_channel
 from spdz.errors import (
     ChannelClosed,
-    ChannelTimeout,
     MacCheckFailed,
+    OutOfStep,
     PeerAborted,
     ProtocolViolation,
-    TapeError,
-    TapeExhausted,
     TapeMismatch,
 )
 from spdz.handshake import Hello, canonical, compare, read_object, session_id
@@ -42,6 +40,7 @@ from spdz.program import Program, declare, quantise, run
 from spdz.stats import Stats
 from spdz.tape import Tape
 from spdz.types import IntArray, Json, Shape
+from spdz.wire import ELEMENT_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +158,12 @@ class Session:
         self._require_alive()
         plan = self._plan(program)
         inputs = [self._quantise(program, one) for one in data]
+        largest = ELEMENT_BYTES * len(inputs) * max(plan.elements_sent)
+        if largest > MAX_FRAME:
+            raise ValueError(
+                f"{len(inputs)} jobs at once could need frames of {largest >> 20} MB, above the limit of "
+                f"{MAX_FRAME >> 20} MB: run fewer at once"
+            )
         with self._guard():
             self._agree_on(plan, program, len(inputs))
             if len(inputs) > len(self._reserved):
@@ -173,10 +178,13 @@ class Session:
         """Check values and range of any number of inputs, consuming nothing; raises ValueError."""
         quantise(program, data, "descriptors")
 
-    def exchange_note(self, note: Json) -> dict[str, Any]:
+    def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
         """Swap one small public JSON object with the peer, such as how many descriptors there are."""
         with self._guard():
-            return self._control({"note": note}, "note")
+            answer = self._control({"note": note}, "note")["note"]
+            if not isinstance(answer, dict):
+                raise ProtocolViolation("the peer's note is not a JSON object")
+            return answer
 
     # -- the parts of a run --------------------------------------------------------------------------
 
@@ -225,10 +233,10 @@ class Session:
         reply = self._channel.exchange(FrameKind.CONTROL, [canonical(message)], None)
         fields = read_object(bytes(reply))
         if set(fields) != set(keys):
-            raise TapeMismatch(
+            raise OutOfStep(
                 "the peer is at another step: both robots must make the same calls in the same order"
             )
-        return fields if len(keys) > 1 else dict(fields[keys[0]])
+        return fields
 
     @property
     def _alpha(self) -> int | None:
@@ -268,7 +276,7 @@ class Session:
         if isinstance(error, MacCheckFailed):
             self._tape.destroy()
         if not isinstance(error, PeerAborted):
-            self._channel.abort(_reason(error))
+            self._channel.abort(abort_reason(error))
         self.close()
 
 
@@ -292,68 +300,5 @@ async def _all(lanes: Sequence[Any]) -> list[Any]:
     return [await lanes[0]] if len(lanes) == 1 else await parallel(*lanes)
 
 
-def _reason(error: BaseException) -> AbortReason:
-    """What the peer is told, from a fixed list; the first match counts."""
-    for kind, reason in (
-        (MacCheckFailed, AbortReason.MAC_CHECK_FAILED),
-        (ProtocolViolation, AbortReason.PROTOCOL_VIOLATION),
-        (TapeMismatch, AbortReason.TAPE_MISMATCH),
-        (TapeExhausted, AbortReason.TAPE_EXHAUSTED),
-        (TapeError, AbortReason.TAPE_UNUSABLE),
-        (ChannelTimeout, AbortReason.TIMEOUT),
-        (KeyboardInterrupt, AbortReason.STOPPED),
-    ):
-        if isinstance(error, kind):
-            return reason
-    return AbortReason.LOCAL_ERROR
-
-
 def _describe(program: Any) -> str:
     return ", ".join(f"{name} {value}" for name, value in sorted(program.items()) if name != "shapes")
-
-
-def open_session(
-    tape: str | Path,
-    *,
-    listen: str | None = None,
-    connect: str | None = None,
-    credentials: str | Path | None = None,
-    insecure: bool = False,
-    wait: float = 60.0,
-    timeout: float = 30.0,
-    state_dir: str | Path | None = None,
-) -> Session:
-    """Open a tape and connect to the peer that it was dealt for, over mutually authenticated TLS 1.3.
-
-    Args:
-        tape: This robot's tape for that peer.
-        listen: ``"host:port"`` to accept the peer at; or
-        connect: ``"host:port"`` to reach it at. Exactly one of the two.
-        credentials: Folder of ca.pem, cert.pem and key.pem; the tape's folder if not given.
-        insecure: Plain TCP without encryption or authentication, for closed test networks only.
-        wait: Seconds to wait for the peer to appear.
-        timeout: Seconds that one round may take.
-        state_dir: Where the second record of what was used is kept (default: the user's state folder).
-
-    Raises:
-        ValueError: unless exactly one of ``listen`` and ``connect`` is given.
-        TapeError: if the tape is damaged, in use, destroyed, or does not match the peer's.
-        ChannelError: if there is no connection within ``wait`` seconds, or the peer is not who it
-            should be.
-    """
-    if (listen is None) == (connect is None):
-        raise ValueError("give exactly one of listen= and connect=")
-    path = Path(tape)
-    opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
-    try:
-        own = path.parent if credentials is None else Path(credentials)
-        if insecure:
-            reach = tcp.connect if listen is None else tcp.listen
-            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait)
-        else:
-            meet = tls.connect if listen is None else tls.listen
-            channel = meet(listen or connect or "", own, opened.header.peer, timeout=timeout, wait=wait)
-    except BaseException:
-        opened.close()
-        raise
-    return Session(opened, channel)

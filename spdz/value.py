@@ -119,7 +119,7 @@ class Value:
     def plus_raw(self, raw: int | IntArray) -> Value:
         """Add public raw integers (in units of ``2**-frac``)."""
         result = self.engine.plus(self, raw)
-        result.bound = self.bound + _largest(raw)
+        result.bound, result.is_bit = self.bound + _largest(raw), False
         return result
 
     def sum(self, axis: int = -1) -> Value:

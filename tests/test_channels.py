@@ -305,7 +305,7 @@ def test_a_peer_that_hangs_up_while_it_is_sent_to_is_told_as_closed(pair):
         ({"version": 22}, "speak TLS"),
         ({"reserved": 1}, "reserved byte: expected 0"),
         ({"kind": CHECK}, "frame kind: expected DATA, the peer sent CHECK"),
-        ({"kind": CONTROL}, "frame kind: expected DATA, the peer sent CONTROL"),
+        ({"kind": CONTROL}, "expects a DATA frame, the peer sent CONTROL"),
         ({"kind": 77}, "unknown code 77"),
         ({"session": 7}, "session tag: expected 00000000, the peer sent 00000007"),
         ({"round_": 1}, "round: expected 0, the peer sent 1"),

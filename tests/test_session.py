@@ -10,12 +10,15 @@ from spdz import (
     ChannelClosed,
     ChannelError,
     MacCheckFailed,
+    OutOfStep,
     PeerAborted,
     ProtocolViolation,
     SpdzError,
     TapeDestroyed,
     TapeExhausted,
     TapeMismatch,
+    dot,
+    measure,
     run_local,
 )
 from spdz.channels import FrameKind, memory_pair
@@ -302,3 +305,47 @@ def test_reserving_ahead_runs_without_the_disk(tmp_path, monkeypatch):
 
 def test_errors_are_one_family():
     assert issubclass(MacCheckFailed, SpdzError) and issubclass(TapeExhausted, SpdzError)
+
+
+def test_only_one_robot_changing_its_threshold_is_told_in_words(tmp_path):
+    paths, states = deal(tmp_path / "m", is_candidate(S10, 0.0), SHAPES, 4), state_dirs(tmp_path)
+
+    def work(session):
+        session.run(is_candidate(S10, 0.5), OWN[session.party])
+        session.run(is_candidate(S10, 0.5 if session.party else 0.6), OWN[session.party])
+
+    for error in run_pair(paths, states, work):
+        assert isinstance(error, (OutOfStep, PeerAborted))
+    with Tape.open(paths[0], state_dir=states[0]) as tape:
+        assert tape.cursor <= 2  # at most the job that was under way is lost, never the tape
+
+
+def test_programs_that_differ_after_the_last_gate_are_told_apart(tmp_path):
+    async def doubled(engine, x, y):
+        return dot(x, y) * 2
+
+    assert measure(doubled, SHAPES, "malicious").text != measure(S10, SHAPES, "malicious").text
+
+
+def test_a_note_that_is_no_object_is_a_protocol_violation(tmp_path):
+    paths = deal(tmp_path / "m", S10, SHAPES, 3)
+
+    def liar(session):
+        session._control({"note": 5}, "note")
+
+    honest, _ = run_pair(
+        paths, state_dirs(tmp_path), lambda session: session.exchange_note({"descriptors": 1}), liar
+    )
+    assert isinstance(honest, ProtocolViolation)
+
+
+def test_too_many_jobs_at_once_are_refused_before_anything_is_consumed(tmp_path, monkeypatch):
+    monkeypatch.setattr("spdz.session.MAX_FRAME", 200)
+    paths, states = deal(tmp_path / "m", S10, SHAPES, 4), state_dirs(tmp_path)
+
+    def work(session):
+        with pytest.raises(ValueError, match="fewer at once"):
+            session.run_many(S10, [OWN[session.party]] * 4)
+        return session.run(S10, OWN[session.party]).value
+
+    assert run_pair(paths, states, work) == [0.0, 0.0]

@@ -106,8 +106,9 @@ def test_exhausted_tape_consumes_nothing_and_says_how_to_deal_more(path, state):
             tape.reserve(3)
         assert "of 10 jobs dealt for alice and bob, 8 are used and 2 left; 3 are needed" in str(caught.value)
         command = (
-            "python -m spdz.dealer --agents alice bob --score S10 --dim 1536 --count N --security malicious"
+            "python -m spdz.dealer --agents alice bob --dim 1536 --max-norm 1.5 --reveal bit --score S10 "
         )
+        command += "--tile 1x1 --security malicious --count N --out FOLDER"
         assert command in str(caught.value)
         assert tape.remaining == 2
         assert [job.index for job in tape.reserve(2)] == [8, 9]
@@ -230,3 +231,17 @@ def test_fork_is_noticed(path, state):
         assert [job.index for job in tape.reserve(1)] == [0]
         with pytest.raises(TapeInUse):
             Tape.open(path, state_dir=state)
+
+
+def test_used_corrections_cannot_be_read_from_a_captured_tape(tmp_path, monkeypatch):
+    """Not even by a peer that kept its own half: they are sealed under keys that the ratchet has passed."""
+    skip_sync(monkeypatch)
+    path = deal(tmp_path / "alice.tape")
+    with Tape.open(path, state_dir=tmp_path / "state") as tape:
+        jobs = tape.reserve(4)
+    stored = path.read_bytes()
+    assert [bytes(job.correction) for job in jobs] == corrections(HEADER)[:4]
+    for correction in corrections(HEADER):
+        assert correction not in stored
+    for chain in chains(5)[:4]:
+        assert prf.seal_key(chain) not in stored and chain not in stored

@@ -28,7 +28,16 @@ from typing import Any, TypeAlias
 
 import numpy.typing as npt
 
-from spdz.errors import PeerAborted, ProtocolViolation
+from spdz.errors import (
+    ChannelTimeout,
+    MacCheckFailed,
+    OutOfStep,
+    PeerAborted,
+    ProtocolViolation,
+    TapeError,
+    TapeExhausted,
+    TapeMismatch,
+)
 from spdz.types import Buffer
 
 Payload: TypeAlias = Sequence[Buffer | npt.NDArray[Any]]
@@ -81,6 +90,22 @@ class AbortReason(IntEnum):
     WRONG_ROBOT = 7
     STOPPED = 8
     LOCAL_ERROR = 9
+
+
+_REASONS: tuple[tuple[type[BaseException], AbortReason], ...] = (
+    (MacCheckFailed, AbortReason.MAC_CHECK_FAILED),
+    (ProtocolViolation, AbortReason.PROTOCOL_VIOLATION),
+    (TapeMismatch, AbortReason.TAPE_MISMATCH),
+    (TapeExhausted, AbortReason.TAPE_EXHAUSTED),
+    (TapeError, AbortReason.TAPE_UNUSABLE),
+    (ChannelTimeout, AbortReason.TIMEOUT),
+    (KeyboardInterrupt, AbortReason.STOPPED),
+)
+
+
+def abort_reason(error: BaseException) -> AbortReason:
+    """What the peer is told of this side's error: the first kind that fits."""
+    return next((reason for kind, reason in _REASONS if isinstance(error, kind)), AbortReason.LOCAL_ERROR)
 
 
 _SENTENCES = {
@@ -233,6 +258,12 @@ class FrameReader:
             self._is_abort = True
             self._resize(1)
             return
+        if {got_kind, kind} == {FrameKind.DATA, FrameKind.CONTROL}:
+            raise OutOfStep(
+                f"the peer is at another step: this side expects a {kind.name} frame, the peer sent "
+                f"{_name(FrameKind, got_kind)}; both robots must make the same calls, with the same program "
+                "and threshold, in the same order"
+            )
         if got_kind != kind:
             raise _violation("frame kind", kind.name, _name(FrameKind, got_kind))
         if got_session != session:

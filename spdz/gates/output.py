@@ -25,10 +25,11 @@ class Output(Gate):
     """Operand: one value. The result is what the user gets: numbers or booleans."""
 
     async def deal(self, recipe: Recipe, z: Value) -> None:
-        """Nothing is dealt; the meter sees the rounds."""
+        """Nothing is dealt; the meter sees the rounds, and what is opened."""
         if recipe.has_unchecked_openings:
             await check()
         await recipe.opening(prod(z.shape))
+        recipe.shared_value("output", (z,), z.shape, z.frac, z.bound)
         if recipe.malicious:
             await check()
 

@@ -18,7 +18,7 @@ def read_corrections(
     """The verified corrections of jobs ``first`` to ``first + count - 1``, from one contiguous read.
 
     Returns:
-        One read-only view a job, ``correction_bytes`` long and 16-byte aligned.
+        One writable view a job, ``correction_bytes`` long and 16-byte aligned, still sealed.
 
     Raises:
         TapeDamaged: A checksum does not hold; the message names the job and the byte offset.
@@ -26,12 +26,12 @@ def read_corrections(
     """
     size, stride, chunks = header.correction_bytes, layout.stride, layout.chunks
     if size == 0:
-        return [memoryview(b"")] * count
+        return [memoryview(bytearray())] * count
     data = _aligned(count * stride)
     _fill(file, path, layout.corrections + first * stride, data)
     table = memoryview(bytearray(4 * count * chunks))
     _fill(file, path, layout.checksums + 4 * first * chunks, table)
-    corrections = [data[start : start + size].toreadonly() for start in range(0, count * stride, stride)]
+    corrections = [data[start : start + size] for start in range(0, count * stride, stride)]
     for k, expected in enumerate(struct.unpack(f"<{count * chunks}I", table)):
         job, chunk = divmod(k, chunks)
         part = corrections[job][chunk * CHUNK : (chunk + 1) * CHUNK]

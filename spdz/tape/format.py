@@ -119,13 +119,12 @@ class TapeHeader:
     @property
     def dealer_command(self) -> str:
         """The command that deals more of the same."""
-        known = "".join(
-            f"--{k} {shlex.quote(str(self.program[k]))} " for k in ("score", "dim") if k in self.program
-        )
-        return (
-            f"python -m spdz.dealer --agents {shlex.join(self.agents)} {known}"
-            f"--count N --security {self.security} --out FOLDER"
-        )
+        words = [f"--agents {shlex.join(self.agents)}"]
+        for key, value in self.program.items():
+            if key in ("score", "dim", "reveal", "tile", "max_norm"):
+                text = "x".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+                words.append(f"--{key.replace('_', '-')} {shlex.quote(text)}")
+        return f"python -m spdz.dealer {' '.join(words)} --security {self.security} --count N --out FOLDER"
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 A tape is ``header.jobs`` jobs of equal size. A job has a key, from which the engine expands its pad, and a
 stored correction. Keys come from a forward ratchet, key_j = job_key(chain_j) and
-chain_{j+1} = next_chain(chain_j): a captured robot's tape does not tell the pads of jobs that it has used.
+chain_{j+1} = next_chain(chain_j), and the stored correction is sealed under one of them: a captured robot's
+tape tells nothing of the jobs that it has used, not even to a peer that kept its own half of them.
 
 What keeps a job from being used twice, since that would reveal x - x' to the peer:
 
@@ -188,8 +189,11 @@ class Tape:
             corrections = read_corrections(
                 self._file, self._path, self.header, self._layout, state.cursor, count
             )
-            keys = self._advance(state.cursor + count)
-            return [Job(state.cursor + i, keys[i], corrections[i]) for i in range(count)]
+            jobs: list[Job] = []
+            for chain, correction in zip(self._advance(state.cursor + count), corrections, strict=True):
+                prf.seal(prf.seal_key(chain), correction)
+                jobs.append(Job(state.cursor + len(jobs), prf.job_key(chain), correction.toreadonly()))
+            return jobs
 
     def destroy(self) -> None:
         """Overwrite the tape's secrets and mark it destroyed, here and in its high-water mark.
@@ -265,18 +269,18 @@ class Tape:
             self._advance(mark.cursor)
 
     def _advance(self, cursor: int) -> list[bytes]:
-        """Use all jobs below ``cursor``, durably: mark first, then slots. Returns the keys of those jobs."""
+        """Use all jobs below ``cursor``, durably: mark first, then slots. Returns their chain values."""
         state = self._usable()
         self._state = None  # until the disk has it, it is not known what the disk has
-        keys, chain = [], state.chain
+        used, chain = [], state.chain
         for _ in range(state.cursor, cursor):
-            keys.append(prf.job_key(chain))
+            used.append(chain)
             chain = prf.next_chain(chain)
         self._mark.write(Mark(cursor))
         advanced = State(cursor, chain, state.alpha)
         self._slots.store(advanced)
         self._state = advanced
-        return keys
+        return used
 
     def _destroy(self, cursor: int) -> None:
         self._state = None

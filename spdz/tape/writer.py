@@ -7,6 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
+from spdz import prf
 from spdz.tape.durable import create_private, make_private_folder, partial_name, sync, sync_folder
 from spdz.tape.format import CHUNK, SECTOR, Layout, TapeHeader, encode_header
 from spdz.tape.state import State, encode_slot
@@ -37,6 +38,7 @@ class TapeWriter:
             raise ValueError(f"chain takes 32 bytes and alpha 16, not {len(chain)} and {len(alpha)}")
         self._path = Path(path)
         self._header = header
+        self._chain = chain
         encoded = encode_header(header)
         self._layout = Layout.of(header, encoded)
         self._checksums = bytearray()
@@ -60,7 +62,7 @@ class TapeWriter:
         return self._size
 
     def append(self, correction: Buffer) -> None:
-        """Add the next job's correction.
+        """Add the next job's correction, sealed under a key of the ratchet.
 
         Raises:
             ValueError: It is not exactly ``correction_bytes`` long, the tape is full, or closed.
@@ -76,7 +78,8 @@ class TapeWriter:
                 f"{self._path}: a correction takes {self._header.correction_bytes} bytes, not {view.nbytes}"
             )
         if view.nbytes:
-            view = view.cast("B")
+            view = memoryview(bytearray(view.cast("B")))
+            prf.seal(prf.seal_key(self._chain), view)
             self._write(view)
             self._write(bytes(self._layout.stride - view.nbytes))
             first = self._appended * self._layout.chunks
@@ -84,6 +87,7 @@ class TapeWriter:
                 chunk = view[k * CHUNK : (k + 1) * CHUNK]
                 self._checksums += self._layout.checksum(chunk, first + k).to_bytes(4, "little")
         self._appended += 1
+        self._chain = prf.next_chain(self._chain)
 
     def close(self) -> None:
         """Write the checksums, make the file durable and give it its name. A second call does nothing.

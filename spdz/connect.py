@@ -1,0 +1,56 @@
+"""Open a tape and reach the peer that it was dealt for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from spdz.channels import Channel, tcp, tls
+from spdz.session import Session
+from spdz.tape import Tape
+
+
+def open_session(
+    tape: str | Path,
+    *,
+    listen: str | None = None,
+    connect: str | None = None,
+    credentials: str | Path | None = None,
+    insecure: bool = False,
+    wait: float = 60.0,
+    timeout: float = 30.0,
+    state_dir: str | Path | None = None,
+) -> Session:
+    """Open a tape and connect to the peer that it was dealt for, over mutually authenticated TLS 1.3.
+
+    Args:
+        tape: This robot's tape for that peer.
+        listen: ``"host:port"`` to accept the peer at; or
+        connect: ``"host:port"`` to reach it at. Exactly one of the two.
+        credentials: Folder of ca.pem, cert.pem and key.pem; the tape's folder if not given.
+        insecure: Plain TCP without encryption or authentication, for closed test networks only.
+        wait: Seconds to wait for the peer to appear.
+        timeout: Seconds that one round may take.
+        state_dir: Where the second record of what was used is kept (default: the user's state folder).
+
+    Raises:
+        ValueError: unless exactly one of ``listen`` and ``connect`` is given.
+        TapeError: if the tape is damaged, in use, destroyed, or does not match the peer's.
+        ChannelError: if there is no connection within ``wait`` seconds, or the peer is not who it
+            should be.
+    """
+    if (listen is None) == (connect is None):
+        raise ValueError("give exactly one of listen= and connect=")
+    path = Path(tape)
+    opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
+    try:
+        own = path.parent if credentials is None else Path(credentials)
+        if insecure:
+            reach = tcp.connect if listen is None else tcp.listen
+            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait)
+        else:
+            meet = tls.connect if listen is None else tls.listen
+            channel = meet(listen or connect or "", own, opened.header.peer, timeout=timeout, wait=wait)
+    except BaseException:
+        opened.close()
+        raise
+    return Session(opened, channel)
