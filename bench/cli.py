@@ -93,7 +93,7 @@ def sweep(options: argparse.Namespace) -> Iterator[Row]:
             for security in options.security:
                 engines: dict[str, Program | None] = {"spdz": program, "clear": None}
                 if name in TEXTBOOK and not bit:
-                    engines["textbook"] = TEXTBOOK[name]
+                    engines["textbook"] = TEXTBOOK[name].within(options.max_norm)
                 for engine in options.engine or engines:
                     if engine not in engines:
                         continue

@@ -15,6 +15,7 @@ import numpy as np
 
 from dealer.randomness import MacKey, uniform_below
 from spdz import dcf, field
+from spdz.bound import Bound
 from spdz.coroutine import exchange, run_silently
 from spdz.engine import Gate, Input, Recipe
 from spdz.fixed_point import FRACTION_BITS
@@ -65,7 +66,7 @@ class DealtJob(Recipe):
         return Value(self, parts, shape, x.frac, x.bound, masked=x.masked)
 
     def shared_value(
-        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: int, *, is_bit: bool = False
+        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
     ) -> Value:
         """The result of a gate: nothing that the dealer knows."""
         return Value(self, (), shape, frac, bound, is_bit=is_bit)
@@ -74,10 +75,15 @@ class DealtJob(Recipe):
         """The owner's pad is the mask."""
         mask = self._pads[source.owner].pad(source.shape)
         self._deal_mac(mask, stored_by=source.owner)
-        return Value(self, (mask,), source.shape, FRACTION_BITS, source.bound, masked=True)
+        return Value(self, (mask,), source.shape, FRACTION_BITS, Bound.of_norm(source.norm), masked=True)
 
     def authenticated(
-        self, shape: Shape, make: Callable[[], FieldArray], *, count: tuple[str, int] | None = None
+        self,
+        shape: Shape,
+        make: Callable[[], FieldArray],
+        *,
+        of: tuple[Value, ...] = (),
+        count: tuple[str, int] | None = None,
     ) -> None:
         """Party 0's share is its pad; party 1 stores the rest."""
         value = np.broadcast_to(make(), (*shape, 2))

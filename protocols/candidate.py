@@ -42,8 +42,8 @@ class Candidate:
         """One comparison of the score with the threshold."""
         z = await self.score(engine, x, y)
         exact = Fraction(self.threshold) * (1 << z.frac)
-        # No honest score exceeds z.bound, so that a threshold further out decides the same as bound + 1.
-        limit, bound = z.bound + 1, 2 * z.bound + 1
+        # No honest score exceeds its bound, so that a threshold further out decides the same as bound + 1.
+        limit, bound = z.bound.entry + 1, 2 * z.bound.entry + 1
         if self.score.similarity:
             margin = z.plus_raw(-min(max(math.ceil(exact), -limit), limit))
         else:

@@ -2,7 +2,7 @@
 
 The grid of pairs is covered with the tapes' tiles. Within a tile each descriptor is masked and sent once,
 and each pair costs one dealt scalar, one opened element and (for a candidate bit) one DCF key. Tiles at the
-border are filled up with zero vectors. Several tiles travel in the same rounds.
+border are filled up with copies of the last descriptor. Several tiles travel in the same rounds.
 
 What the peer learns besides the results: how many descriptors there are.
 """
@@ -116,7 +116,10 @@ def match(
 
 
 def _blocks(descriptors: npt.NDArray[Any], size: int) -> list[npt.NDArray[Any]]:
-    """Cut into blocks of ``size`` rows, the last one filled up with zero rows."""
+    """Cut into blocks of ``size`` rows, the last one filled up with copies of the last descriptor.
+
+    Every result is opened, those of the filling too: for a zero row they would tell the peer's norms.
+    """
     missing = -len(descriptors) % size
-    padded = np.concatenate([descriptors, np.zeros((missing, descriptors.shape[1]), descriptors.dtype)])
+    padded = np.concatenate([descriptors, np.repeat(descriptors[-1:], missing, axis=0)])
     return [padded[start : start + size] for start in range(0, len(padded), size)]

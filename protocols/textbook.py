@@ -4,7 +4,8 @@ Inputs are shared, then opened again under a Beaver triple: three elements a coo
 direction instead of one. As in the paper's cost table.
 """
 
-from spdz import Engine, Program, Value, beaver_dot, beaver_multiply
+from protocols.scores import Score
+from spdz import Engine, Value, beaver_dot, beaver_multiply
 
 
 async def dot_with_vector_triple(engine: Engine, x: Value, y: Value) -> Value:
@@ -27,8 +28,10 @@ async def squared_distance_with_vector_triple(engine: Engine, x: Value, y: Value
     return await beaver_dot(difference, difference)
 
 
-TEXTBOOK: dict[str, Program] = {
-    "S6": squared_distance_with_vector_triple,
-    "S10": dot_with_vector_triple,
+TEXTBOOK = {
+    "S6": Score(
+        "S6", "L2sq_dist, vector triple", similarity=False, formula=squared_distance_with_vector_triple
+    ),
+    "S10": Score("S10", "dotprod, vector triple", similarity=True, formula=dot_with_vector_triple),
 }
 """The textbook protocol of each score that has one, by the score's name."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from spdz.bound import Bound
 from spdz.engine import ClearText, Gate
 from spdz.rings import IntegerRing
 from spdz.types import IntArray
@@ -45,7 +46,7 @@ class Clear(ClearText):
         result.masked = x.masked
         return result
 
-    def value(self, raw: Any, frac: int, bound: int, *, is_bit: bool = False) -> Value:
+    def value(self, raw: Any, frac: int, bound: Bound, *, is_bit: bool = False) -> Value:
         """Wrap integers; they count as masked too, since every gate may use them."""
         integers = np.asarray(raw)
         return Value(self, (integers,), integers.shape, frac, bound, masked=True, is_bit=is_bit)

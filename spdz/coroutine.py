@@ -115,9 +115,11 @@ def run_silently(protocol: Protocol[T], on_request: Callable[[Request], None] | 
 
     Every request is answered with an empty message; ``on_request`` sees each of them.
     """
+    reply: memoryview | None = None
     try:
         while True:
-            request = protocol.send(None)
+            request = protocol.send(reply)
+            reply = memoryview(b"") if isinstance(request, Exchange) else None
             if on_request is not None:
                 on_request(request)
     except StopIteration as done:

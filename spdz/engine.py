@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from typing import Any, TypeAlias
 
+from spdz.bound import Bound
 from spdz.rings import Ring
 from spdz.types import Block, Buffer, FieldArray, IntArray, Security, Shape
 from spdz.value import Value
@@ -30,13 +31,13 @@ class Input:
     Attributes:
         owner: The party (0 or 1) whose input it is.
         shape: Its public shape.
-        bound: Largest honest L2 norm along the last axis, in raw units.
+        norm: Largest honest L2 norm along the last axis, in raw units.
         data: The raw integers at the owner (int64), else None.
     """
 
     owner: int
     shape: Shape
-    bound: int
+    norm: int
     data: IntArray | None = dataclass_field(default=None, repr=False)
 
 
@@ -74,7 +75,7 @@ class Recipe(Engine):
 
     @abstractmethod
     def shared_value(
-        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: int, *, is_bit: bool = False
+        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
     ) -> Value:
         """The result ``[[z]]`` of gate ``kind`` on operands ``of``."""
 
@@ -84,9 +85,14 @@ class Recipe(Engine):
 
     @abstractmethod
     def authenticated(
-        self, shape: Shape, make: Callable[[], FieldArray], *, count: tuple[str, int] | None = None
+        self,
+        shape: Shape,
+        make: Callable[[], FieldArray],
+        *,
+        of: tuple[Value, ...] = (),
+        count: tuple[str, int] | None = None,
     ) -> None:
-        """Deal [[v]] for ``v = make()``; ``count`` books so many correlations of that kind."""
+        """Deal [[v]] for ``v = make()``, a function of operands ``of``; ``count`` books correlations."""
 
     @abstractmethod
     def triple(
@@ -145,6 +151,11 @@ class Evaluation(Engine):
     def triple(self, kind: str, shape: Shape, product_shape: Shape) -> Triple:
         """Draw this party's shares of one Beaver triple."""
 
+    @property
+    @abstractmethod
+    def fully_drawn(self) -> bool:
+        """Whether everything that was dealt for the job has been drawn."""
+
     @abstractmethod
     def comparison_key(self, shape: Shape, bits: int) -> tuple[Block, Buffer]:
         """Draw this party's DCF root seeds and the keys' correction words."""
@@ -160,7 +171,7 @@ class ClearText(Engine):
     index: int
 
     @abstractmethod
-    def value(self, raw: Any, frac: int, bound: int, *, is_bit: bool = False) -> Value:
+    def value(self, raw: Any, frac: int, bound: Bound, *, is_bit: bool = False) -> Value:
         """Wrap exact raw integers."""
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 from spdz.errors import ProtocolViolation, TapeMismatch
 from spdz.tape import Tape
-from spdz.tape.format import TapeHeader
 
 PROTOCOL_VERSION = 1
 
@@ -74,6 +73,8 @@ class Hello:
         kinds: dict[str, type] = dict.fromkeys(("mission", "tape", "security", "fingerprint", "nonce"), str)
         kinds |= dict.fromkeys(("version", "party", "jobs", "cursor"), int)
         well_formed = all(type(fields.get(name)) is kind for name, kind in kinds.items())
+        numbers = [fields[name] for name, kind in kinds.items() if kind is int] if well_formed else []
+        well_formed = well_formed and all(0 <= number < 1 << 63 for number in numbers)
         agents, program = fields.get("agents"), fields.get("program")
         if (
             not well_formed
@@ -94,7 +95,7 @@ def canonical(fields: dict[str, Any]) -> bytes:
 def read_object(message: bytes) -> dict[str, Any]:
     """Parse a peer's JSON object, with every failure a :class:`ProtocolViolation`."""
     try:
-        fields = json.loads(message)
+        fields = json.loads(message, parse_constant=_refuse)
     except (ValueError, RecursionError):
         raise ProtocolViolation("the peer sent a control message that is not JSON") from None
     if not isinstance(fields, dict):
@@ -102,7 +103,11 @@ def read_object(message: bytes) -> dict[str, Any]:
     return fields
 
 
-def compare(own: TapeHeader, peer: Hello) -> None:
+def _refuse(constant: str) -> None:
+    raise ValueError("NaN and infinity are not JSON")
+
+
+def compare(own: Hello, peer: Hello) -> None:
     """Refuse a peer whose tape does not belong to ours.
 
     Raises:
@@ -115,7 +120,7 @@ def compare(own: TapeHeader, peer: Hello) -> None:
             ("robots", " and ".join(own.agents), " and ".join(peer.agents)),
             *(
                 (name, own.program.get(name), peer.program.get(name))
-                for name in sorted(set(own.program) | set(peer.program))
+                for name in sorted(own.program)
                 if name != "shapes"
             ),
             ("number of jobs", own.jobs, peer.jobs),
@@ -125,6 +130,8 @@ def compare(own: TapeHeader, peer: Hello) -> None:
         )
         if mine != theirs
     ]
+    if own.program != peer.program and not differences:
+        differences.append("other parameters of the program")
     if peer.party != 1 - own.party:
         differences.append(f"both sides hold the tape of party {own.party} ({own.agents[own.party]})")
     if differences:

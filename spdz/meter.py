@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from spdz import dcf
+from spdz.bound import Bound
 from spdz.coroutine import Check, Request, exchange, run_silently
 from spdz.engine import Gate, Input, Recipe
 from spdz.fixed_point import FRACTION_BITS
@@ -114,8 +115,8 @@ class SymbolRing:
         return _symbol("reshape", a, shape)
 
     def broadcast(self, a: Symbol, shape: Shape) -> Symbol:
-        """A larger shape (no new identity)."""
-        return a
+        """A larger shape."""
+        return _symbol("broadcast", a, shape)
 
 
 class Meter(Recipe):
@@ -148,15 +149,16 @@ class Meter(Recipe):
         """Only the text sees a public constant."""
         (symbol,) = x.parts
         shape, digest = _public(raw)
-        part = Symbol(symbol.recipe, _digest("plus", symbol.text, digest))
-        return Value(self, (part,), np.broadcast_shapes(x.shape, shape), x.frac, x.bound, masked=x.masked)
+        new = np.broadcast_shapes(x.shape, shape)
+        recipe = symbol.recipe if new == x.shape else _digest("broadcast", symbol.recipe, new)
+        part = Symbol(recipe, _digest("plus", symbol.text, new, digest))
+        return Value(self, (part,), new, x.frac, x.bound, masked=x.masked)
 
     def shared_value(
-        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: int, *, is_bit: bool = False
+        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
     ) -> Value:
         """A new symbol made of the operands'."""
-        symbol = _symbol(kind, shape, frac, *(operand.parts[0] for operand in of))
-        self.trace.append(symbol)
+        symbol = self._note(kind, shape, frac, *(operand.parts[0] for operand in of))
         return Value(self, (symbol,), shape, frac, bound, is_bit=is_bit)
 
     def input_mask(self, source: Input) -> Value:
@@ -167,14 +169,20 @@ class Meter(Recipe):
             self._draw(1 - source.owner, pad=size)
             self._draw(source.owner, correction=size)
         self.correlations["input mask"] += size
-        symbol = _symbol("input", source.owner, source.shape, source.bound, len(self.trace))
-        self.trace.append(symbol)
-        return Value(self, (symbol,), source.shape, FRACTION_BITS, source.bound, masked=True)
+        symbol = self._note("input", source.owner, source.shape, source.norm, len(self.trace))
+        bound = Bound.of_norm(source.norm)
+        return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True)
 
     def authenticated(
-        self, shape: Shape, make: Callable[[], FieldArray], *, count: tuple[str, int] | None = None
+        self,
+        shape: Shape,
+        make: Callable[[], FieldArray],
+        *,
+        of: tuple[Value, ...] = (),
+        count: tuple[str, int] | None = None,
     ) -> None:
         """One pad element at either party, and one stored where MACs are."""
+        self._note("dealt", shape, count, *(operand.parts[0] for operand in of))
         size = prod(shape)
         self._draw(0, pad=size)
         self._draw(1, correction=size)
@@ -192,6 +200,7 @@ class Meter(Recipe):
         product: Callable[[FieldArray, FieldArray], FieldArray],
     ) -> None:
         """Random a and b cost pads alone (and MAC corrections); the product is an authenticated value."""
+        self._note(kind, shape, product_shape)
         for _ in range(2):
             self._draw(0, pad=prod(shape))
             self._draw(1, pad=prod(shape))
@@ -208,6 +217,7 @@ class Meter(Recipe):
         self, shape: Shape, bits: int, make: Callable[[], tuple[FieldArray, FieldArray]]
     ) -> None:
         """A root seed at either party, the same correction words at both."""
+        self._note("comparison key", shape, bits)
         size = prod(shape)
         for party in (0, 1):
             self._draw(party, pad=size)
@@ -223,6 +233,12 @@ class Meter(Recipe):
         """Count one round whose openings wait for a check."""
         self._unchecked = self.malicious
         await self.round((elements, elements))
+
+    def _note(self, *items: object) -> Symbol:
+        """Add a draw or a result to the trace, whose order is the drawing order."""
+        symbol = _symbol(*items)
+        self.trace.append(symbol)
+        return symbol
 
     def _draw(self, party: int, *, pad: int = 0, correction: int = 0) -> None:
         self.pad_bytes[party] += ELEMENT_BYTES * pad

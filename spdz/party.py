@@ -164,6 +164,11 @@ class Party(Evaluation):
         a, b = ((self._stream.pad(shape), self._mac(shape, stored=self.index == 0)) for _ in range(2))
         return a, b, self.authenticated(product_shape, count=(kind, prod(product_shape)))
 
+    @property
+    def fully_drawn(self) -> bool:
+        """Whether the job is used up."""
+        return self._stream.exhausted
+
     def comparison_key(self, shape: Shape, bits: int) -> tuple[Block, Buffer]:
         """Root seeds from the pad, correction words from the record."""
         size = prod(shape)

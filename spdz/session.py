@@ -12,9 +12,10 @@ it had reserved stays burnt. After a failed MAC check its tape is destroyed as w
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from types import TracebackType
 from typing import Any
 
@@ -30,6 +31,7 @@ from spdz.errors import (
     OutOfStep,
     PeerAborted,
     ProtocolViolation,
+    TapeInUse,
     TapeMismatch,
 )
 from spdz.handshake import Hello, canonical, compare, read_object, session_id
@@ -72,16 +74,17 @@ class Session:
         self._tape, self._channel = tape, channel
         self._dead: str | None = None
         self._reserved: deque[JobStream] = deque()
-        self._plans: dict[int, tuple[Program, Plan]] = {}
+        self._plans: dict[Program, Plan] = {}
+        self._process = os.getpid()
         self._agreed: tuple[str, str] | None = None
         self._mac_check: MacCheck | None = None
         self._id = b""
         with self._guard():
             own = Hello.of(tape)
             peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
-            compare(tape.header, peer)
-            tape.resume(peer.cursor)
+            compare(own, peer)
             self._id = session_id(own, peer)
+            tape.resume(peer.cursor)
             self._channel.bind(int.from_bytes(self._id[:4], "little"))
 
     def __repr__(self) -> str:
@@ -189,10 +192,14 @@ class Session:
     # -- the parts of a run --------------------------------------------------------------------------
 
     def _plan(self, program: Program) -> Plan:
-        """The meter's plan, held against the tape."""
-        known = self._plans.get(id(program))
-        if known is not None and known[0] is program:
-            return known[1]
+        """The meter's plan, held against the tape.
+
+        It is kept for programs that cannot change (frozen dataclasses such as a candidate bit); any other is
+        read anew each time, since its public constants may have changed.
+        """
+        kept = is_dataclass(program) and program.__dataclass_params__.frozen
+        if kept and program in self._plans:
+            return self._plans[program]
         header = self._tape.header
         plan = measure(program, self.shapes, header.security)
         if plan.recipe != header.fingerprint:
@@ -200,7 +207,8 @@ class Session:
                 f"this tape was dealt for {_describe(header.program)}, which is not the program given; "
                 "deal tapes for it, or run the program that the tapes were dealt for"
             )
-        self._plans[id(program)] = (program, plan)
+        if kept:
+            self._plans[program] = plan
         return plan
 
     def _quantise(self, program: Program, data: npt.ArrayLike) -> IntArray:
@@ -224,14 +232,18 @@ class Session:
                 "there; give both robots the same threshold and program"
             )
         self._agreed = call
-        self._id = hashlib.sha256(b"spdz call" + self._id + canonical({"call": call})).digest()
+
+    def _control(self, message: dict[str, Json], *keys: str) -> dict[str, Any]:
+        own = canonical(message)
+        reply = bytes(self._channel.exchange(FrameKind.CONTROL, [own], None))
+        first, second = (own, reply) if self.party == 0 else (reply, own)
+        # Whatever the two sides tell each other becomes part of what the next MAC check is about.
+        texts = b"".join(hashlib.sha256(text).digest() for text in (first, second))
+        self._id = hashlib.sha256(b"spdz agreement" + self._id + texts).digest()
         alpha = self._alpha
         if alpha is not None:
             self._mac_check = MacCheck(alpha, self.party, self._id)
-
-    def _control(self, message: dict[str, Json], *keys: str) -> dict[str, Any]:
-        reply = self._channel.exchange(FrameKind.CONTROL, [canonical(message)], None)
-        fields = read_object(bytes(reply))
+        fields = read_object(reply)
         if set(fields) != set(keys):
             raise OutOfStep(
                 "the peer is at another step: both robots must make the same calls in the same order"
@@ -263,6 +275,8 @@ class Session:
         self._tape.close()
 
     def _require_alive(self) -> None:
+        if os.getpid() != self._process:
+            raise TapeInUse("this session belongs to the process that opened it: open one after the fork")
         if self._dead is not None:
             raise ChannelClosed(f"this session has ended ({self._dead}); open a new one")
 
@@ -273,11 +287,13 @@ class Session:
     def _die(self, error: BaseException) -> None:
         """Tell the peer why, close everything, and destroy the tape if the peer cheated."""
         self._dead = type(error).__name__
-        if isinstance(error, MacCheckFailed):
-            self._tape.destroy()
-        if not isinstance(error, PeerAborted):
-            self._channel.abort(abort_reason(error))
-        self.close()
+        try:
+            if isinstance(error, MacCheckFailed):
+                self._tape.destroy()
+        finally:
+            if not isinstance(error, PeerAborted):
+                self._channel.abort(abort_reason(error))
+            self.close()
 
 
 class _Guard:

@@ -106,6 +106,11 @@ class StockedParty(Party):
             "and beaver_multiply, or deal for this program"
         )
 
+    @property
+    def fully_drawn(self) -> bool:
+        """A stock need not be used up."""
+        return True
+
     def comparison_key(self, shape: Shape, bits: int) -> tuple[Block, Buffer]:
         """As :meth:`authenticated`."""
         raise TapeMismatch("a stock holds no comparison keys: deal for this program")

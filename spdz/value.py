@@ -21,12 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from math import isqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from spdz.bound import Bound
+from spdz.field import P
 from spdz.fixed_point import FRACTION_BITS
 from spdz.types import IntArray, Shape
 
@@ -42,8 +43,7 @@ class Value:
         parts: What the reading holds of it (see the module's table).
         shape: Shape of the array.
         frac: Fractional bits; the raw integer is the number times ``2**frac``.
-        bound: No honest run exceeds it: the largest L2 norm along the last axis, in raw units. It bounds
-            every entry as well, and is public.
+        bound: What no honest run exceeds (:mod:`spdz.bound`); public.
         masked: True for ``<x>``, False for ``[[z]]``.
         is_bit: True if the entries are 0 or 1.
         plain: The owner's own raw input, where this value is one (int64); else None.
@@ -59,12 +59,17 @@ class Value:
         parts: tuple[Any, ...],
         shape: Shape,
         frac: int,
-        bound: int,
+        bound: Bound,
         *,
         masked: bool = False,
         is_bit: bool = False,
         plain: IntArray | None = None,
     ) -> None:
+        if bound.entry > P // 2:
+            raise ValueError(
+                f"this program can produce numbers of {bound.entry.bit_length()} bits, which do not fit the "
+                "field of 127 bits: use fewer products, or inputs of a smaller max_norm"
+            )
         self.engine, self.parts, self.shape = engine, parts, shape
         self.frac, self.bound = frac, bound
         self.masked, self.is_bit, self.plain = masked, is_bit, plain
@@ -106,10 +111,12 @@ class Value:
         numbers = np.asarray(factor)
         exact = numbers.dtype.kind in "iu"
         raw = _raw(factor, 0 if exact else FRACTION_BITS)
+        shape = np.broadcast_shapes(self.shape, numbers.shape)
+        bound = self.bound.broadcast(self.shape, shape).scaled(_largest(raw))
         scaled = self._map(
             lambda part: self.engine.ring.scale(part, raw),
-            np.broadcast_shapes(self.shape, numbers.shape),
-            self.bound * _largest(raw) * (1 if numbers.ndim == 0 else isqrt(numbers.size) + 1),
+            shape,
+            bound,
         )
         scaled.frac = self.frac + (0 if exact else FRACTION_BITS)
         return scaled
@@ -119,36 +126,42 @@ class Value:
     def plus_raw(self, raw: int | IntArray) -> Value:
         """Add public raw integers (in units of ``2**-frac``)."""
         result = self.engine.plus(self, raw)
-        result.bound, result.is_bit = self.bound + _largest(raw), False
-        return result
+        constant = Bound.of_entry(_largest(raw), result.shape)
+        bound = self.bound.broadcast(self.shape, result.shape) + constant
+        return Value(self.engine, result.parts, result.shape, self.frac, bound, masked=self.masked)
 
     def sum(self, axis: int = -1) -> Value:
         """Sum over one axis."""
         axis = range(self.ndim)[axis]
-        length = self.shape[axis]
-        growth = isqrt(length - 1) + 1 if axis == self.ndim - 1 else length  # Cauchy-Schwarz: sqrt(n) |x|
         shape = self.shape[:axis] + self.shape[axis + 1 :]
-        return self._map(lambda part: self.engine.ring.sum(part, axis), shape, self.bound * growth)
+        bound = self.bound.summed(self.shape, axis)
+        return self._map(lambda part: self.engine.ring.sum(part, axis), shape, bound)
 
     def reshape(self, *shape: int) -> Value:
-        """The same entries in another shape (the bound is kept: it must still bound the last axis)."""
-        if self.shape and shape[-1:] != self.shape[-1:]:
-            raise ValueError("reshape must keep the last axis, along which the norm is bounded")
+        """The same entries in another shape."""
         full = np.empty(self.shape, dtype=np.bool_).reshape(shape).shape
-        result = self._map(lambda part: self.engine.ring.reshape(part, full), full, self.bound)
+        kept = full[-1:] == self.shape[-1:]
+        bound = self.bound if kept else Bound.of_entry(self.bound.entry, full)
+        result = self._map(lambda part: self.engine.ring.reshape(part, full), full, bound)
         result.is_bit = self.is_bit
         return result
 
     def __getitem__(self, key: Any) -> Value:
+        """Basic indexing: integers, slices, ``None`` and ``...``."""
         keys = key if isinstance(key, tuple) else (key,)
+        if not all(one is None or one is Ellipsis or type(one) in (int, slice) for one in keys):
+            raise TypeError("a value is indexed by integers, slices, None and ... only")
         shape = np.broadcast_to(np.False_, self.shape)[keys].shape
-        result = self._map(lambda part: self.engine.ring.index(part, keys), shape, self.bound)
+        # Leading integers and slices leave the last axis as it is, or cut it.
+        kept = len(keys) < self.ndim and all(type(one) in (int, slice) for one in keys)
+        bound = self.bound if kept else Bound.of_entry(self.bound.entry, shape)
+        result = self._map(lambda part: self.engine.ring.index(part, keys), shape, bound)
         result.is_bit = self.is_bit
         return result
 
     # -- how a linear map acts on the parts ----------------------------------------------------------
 
-    def _map(self, linear: Callable[[Any], Any], shape: Shape, bound: int) -> Value:
+    def _map(self, linear: Callable[[Any], Any], shape: Shape, bound: Bound) -> Value:
         parts = tuple(p if p is None else linear(p) for p in self.parts)
         return Value(self.engine, parts, shape, self.frac, bound, masked=self.masked)
 
@@ -167,7 +180,8 @@ class Value:
                 parts.append(lone if lone is None else x.engine.ring.broadcast(lone, shape))
             else:
                 parts.append(both(p, q))
-        return Value(x.engine, tuple(parts), shape, x.frac, x.bound + y.bound, masked=x.masked)
+        bound = x.bound.broadcast(x.shape, shape) + y.bound.broadcast(y.shape, shape)
+        return Value(x.engine, tuple(parts), shape, x.frac, bound, masked=x.masked)
 
 
 def _same_scale(x: Value, y: Value) -> tuple[Value, Value]:

@@ -141,3 +141,21 @@ def test_the_same_mission_is_never_dealt_twice(tmp_path):
     words = [{data[i : i + 16] for i in range(0, len(data), 16)} for data in (first, second)]
     shared = words[0] & words[1]
     assert all(len(set(word)) < 8 or word.isascii() for word in shared)
+
+
+def test_the_filling_of_a_border_tile_tells_nothing_new(tmp_path, monkeypatch):
+    """Every opened cell is a result that both robots have anyway: never one against a zero vector."""
+    alice, bob = unit(1, 1), unit(2, 3)
+    deal_mission(tmp_path / "m", ["alice", "bob"], Purpose("S6", DIM, "score", (4, 1), 1.0), 12)
+    paths = tmp_path / "m" / "alice" / "bob.tape", tmp_path / "m" / "bob" / "alice.tape"
+    opened = []
+
+    def work(session):
+        run_many = session.run_many
+        session.run_many = lambda *call: opened.append(result := run_many(*call)) or result
+        return match(session, (alice, bob)[session.party]).decisions
+
+    first, _ = run_pair(paths, state_dirs(tmp_path), work)
+    for result in opened:
+        for block in result.value:
+            assert set(np.ravel(block)) <= set(np.ravel(first))

@@ -16,6 +16,7 @@ from spdz import (
     SpdzError,
     TapeDestroyed,
     TapeExhausted,
+    TapeInUse,
     TapeMismatch,
     dot,
     measure,
@@ -349,3 +350,91 @@ def test_too_many_jobs_at_once_are_refused_before_anything_is_consumed(tmp_path,
         return session.run(S10, OWN[session.party]).value
 
     assert run_pair(paths, states, work) == [0.0, 0.0]
+
+
+def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, monkeypatch):
+    paths = deal(tmp_path / "m", S10, SHAPES, 3)
+
+    def work(session):
+        session.reserve(2)
+        with monkeypatch.context() as patch:
+            patch.setattr("spdz.session.os.getpid", lambda: -1)
+            with pytest.raises(TapeInUse, match="after the fork"):
+                session.run(S10, OWN[session.party])
+        return True
+
+    ends = memory_pair(timeout=5.0)
+    assert run_pair(paths, state_dirs(tmp_path), work, channels=ends) == [True, True]
+
+
+def test_a_note_that_was_changed_on_the_line_fails_the_next_check(tmp_path):
+    paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
+    first, second = memory_pair(timeout=5.0)
+    honest = second.exchange
+
+    def exchange(kind, payload, expect, *rest):
+        changed = [bytes(payload[0]).replace(b'"descriptors":2', b'"descriptors":4')]
+        return honest(kind, changed if kind == FrameKind.CONTROL else payload, expect, *rest)
+
+    second.exchange = exchange
+
+    def work(session):
+        session.exchange_note({"descriptors": 2})
+        return session.run(S10, OWN[session.party])
+
+    results = run_pair(paths, states, work, channels=(first, second))
+    assert any(isinstance(error, MacCheckFailed) for error in results)
+    assert all(isinstance(error, SpdzError) for error in results)
+
+
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_a_program_that_changes_its_own_threshold_is_noticed(tmp_path, security):
+    class Movable:
+        threshold = 0.0
+
+        async def __call__(self, engine, x, y):
+            return await is_candidate(S10, self.threshold)(engine, x, y)
+
+    paths = deal(tmp_path / "m", Movable(), SHAPES, 4, security)
+
+    def work(session):
+        program = Movable()
+        session.run(program, OWN[session.party])
+        program.threshold = float(session.party)
+        session.run(program, OWN[session.party])
+
+    for error in run_pair(paths, state_dirs(tmp_path), work):
+        assert isinstance(error, (OutOfStep, PeerAborted, TapeMismatch))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"program": {"shapes": float("nan")}},
+        {"program": {"\x1b[2J evil\n" * 900: 1}},
+        {"security": "\x1b[31m" + "x" * 9000},
+        {"cursor": 10**400},
+        {"agents": ["alice", "eve\n\x1b"]},
+    ],
+)
+def test_what_a_peer_greets_with_cannot_deface_an_error(tmp_path, change):
+    import json
+    from concurrent.futures import ThreadPoolExecutor
+
+    from spdz.handshake import Hello
+    from spdz.session import Session
+
+    paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
+    with Tape.open(paths[1], state_dir=states[1]) as tape:
+        greeting = json.loads(Hello.of(tape).encode())
+    ours, theirs = memory_pair(timeout=2.0)
+    message = json.dumps({**greeting, **change}).encode()
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(theirs.exchange, FrameKind.CONTROL, [message], None)
+        with pytest.raises((TapeMismatch, ProtocolViolation)) as caught:
+            Session(Tape.open(paths[0], state_dir=states[0]), ours)
+        future.result(timeout=5)
+    theirs.close()
+    assert len(str(caught.value)) < 1000 and str(caught.value).isprintable()
+    with Tape.open(paths[0], state_dir=states[0]) as tape:
+        assert tape.cursor == 0

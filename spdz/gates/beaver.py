@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import prod
 
+from spdz.bound import NOTHING, Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.gates.product import DOT, ELEMENTWISE, Contraction, masked_product
 from spdz.types import Shape
@@ -25,11 +26,12 @@ class BeaverProduct(Gate):
 
     by: Contraction
 
-    def _result(self, x: Value, y: Value) -> tuple[str, Shape, int, int]:
+    def _result(self, x: Value, y: Value) -> tuple[str, Shape, int, Bound]:
         if x.shape != y.shape:
             raise ValueError(f"a Beaver multiplication needs equal shapes, got {x.shape} and {y.shape}")
         kind = "vector triple" if self.by is DOT else "scalar triple"
-        return kind, self.by.shape(x.shape, y.shape), x.frac + y.frac, x.bound * y.bound
+        shape = self.by.shape(x.shape, y.shape)
+        return kind, shape, x.frac + y.frac, self.by.bound(x.bound, y.bound, shape)
 
     async def deal(self, recipe: Recipe, x: Value, y: Value) -> Value:
         """Deal one triple a product."""
@@ -44,7 +46,7 @@ class BeaverProduct(Gate):
         x, y = party.shared(x), party.shared(y)
         a, b, c = party.triple(kind, x.shape, shape)
         width = len(x.parts)
-        masks = [Value(party, share[:width], x.shape, v.frac, v.bound) for share, v in ((a, x), (b, y))]
+        masks = [Value(party, share[:width], x.shape, v.frac, NOTHING) for share, v in ((a, x), (b, y))]
         opened = await party.open(x - masks[0], y - masks[1])
         left, right = (
             Value(party, (eps, *mask.parts), x.shape, mask.frac, mask.bound, masked=True)
@@ -56,7 +58,7 @@ class BeaverProduct(Gate):
     async def clear(self, engine: ClearText, x: Value, y: Value) -> Value:
         """The product itself."""
         product = self.by.clear_product(x.parts[0], y.parts[0])
-        return engine.value(product, x.frac + y.frac, x.bound * y.bound)
+        return engine.value(product, *self._result(x, y)[2:])
 
 
 async def beaver_multiply(x: Value, y: Value) -> Value:

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spdz import dcf, field
+from spdz.bound import NOTHING, Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.field import P
 from spdz.types import Block, FieldArray
@@ -77,11 +78,13 @@ class NonNegative(Gate):
         def sigma(scale: int) -> FieldArray:
             return _signed(_top_bit(rho, bits), np.broadcast_to(field.from_int(scale), rho.shape))
 
-        recipe.authenticated(shape, lambda: rho, count=(KIND, prod(shape)))
+        recipe.authenticated(shape, lambda: rho, of=(z,), count=(KIND, prod(shape)))
         recipe.authenticated(shape, lambda: sigma(HALF))
         recipe.comparison_key(shape, bits - 1, lambda: (_low_bits(rho, bits - 1), sigma(1)))
         await recipe.opening(prod(shape))
-        return recipe.shared_value(f"{KIND} of {bits} bits", (z,), shape, 0, 1, is_bit=True)
+        return recipe.shared_value(
+            f"{KIND} of {bits} bits", (z,), shape, 0, Bound.of_entry(1, shape), is_bit=True
+        )
 
     async def evaluate(self, party: Evaluation, z: Value) -> Value:
         """Steps 1 to 3."""
@@ -90,7 +93,7 @@ class NonNegative(Gate):
         half = party.authenticated(shape)
         roots, key = party.comparison_key(shape, bits - 1)
         z = party.shared(z)
-        mask = Value(party, rho if party.malicious else rho[:1], shape, z.frac, z.bound)
+        mask = Value(party, rho if party.malicious else rho[:1], shape, z.frac, NOTHING)
         (c,) = await party.open((z + mask).plus_raw(1 << (bits - 1)))
         payload = dcf.evaluate(
             party.index,
@@ -107,13 +110,14 @@ class NonNegative(Gate):
             if half_j is not None:
                 borrow = np.ascontiguousarray(payload[:, j]).reshape((*shape, 2))
                 parts.append(_signed(negative, field.sub(borrow, half_j)))
-        bit = Value(party, tuple(parts), shape, 0, 1, is_bit=True).plus_raw(HALF)
-        bit.is_bit, bit.bound = True, 1
-        return bit
+        bit = Value(party, tuple(parts), shape, 0, Bound.of_entry(1, shape), is_bit=True)
+        return party.plus(bit, HALF)
 
     async def clear(self, engine: ClearText, z: Value) -> Value:
         """[z >= 0]."""
-        return engine.value((np.asarray(z.parts[0]) >= 0).astype(np.int64), 0, 1, is_bit=True)
+        return engine.value(
+            (np.asarray(z.parts[0]) >= 0).astype(np.int64), 0, Bound.of_entry(1, z.shape), is_bit=True
+        )
 
 
 async def nonnegative(z: Value, bound: int | None = None) -> Value:
@@ -122,10 +126,10 @@ async def nonnegative(z: Value, bound: int | None = None) -> Value:
     Args:
         z: Shared or masked value.
         bound: A public bound on |z| in raw units, where the caller knows one that is tighter than
-            ``z.bound`` or independent of public constants added to z.
+            ``z.bound.entry`` or independent of public constants added to z.
 
     Returns:
         Shared bits of z's shape.
     """
-    result: Value = await z.engine.read(NonNegative(z.bound if bound is None else bound), z)
+    result: Value = await z.engine.read(NonNegative(z.bound.entry if bound is None else bound), z)
     return result

@@ -15,6 +15,7 @@ from math import prod
 import numpy as np
 
 from spdz import field
+from spdz.bound import Bound
 from spdz.coroutine import exchange
 from spdz.engine import ClearText, Evaluation, Gate, Input, Recipe
 from spdz.fixed_point import FRACTION_BITS
@@ -48,7 +49,15 @@ class MaskedInput(Gate):
             eps = next(own if source.owner == party.index else received)
             parts = (eps, mask, mac) if party.malicious else (eps, mask)
             values.append(
-                Value(party, parts, source.shape, FRACTION_BITS, source.bound, masked=True, plain=source.data)
+                Value(
+                    party,
+                    parts,
+                    source.shape,
+                    FRACTION_BITS,
+                    Bound.of_norm(source.norm),
+                    masked=True,
+                    plain=source.data,
+                )
             )
         return values
 
@@ -68,5 +77,5 @@ class MaskedInput(Gate):
             if raw is None:
                 raw = words[start : start + prod(source.shape)].reshape(source.shape)
                 start += raw.size
-            values.append(engine.value(raw, FRACTION_BITS, source.bound))
+            values.append(engine.value(raw, FRACTION_BITS, Bound.of_norm(source.norm)))
         return values

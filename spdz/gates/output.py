@@ -16,7 +16,7 @@ import numpy as np
 from spdz import field
 from spdz.coroutine import check
 from spdz.engine import ClearText, Engine, Evaluation, Gate, Recipe
-from spdz.errors import ProtocolViolation
+from spdz.errors import ProtocolViolation, TapeMismatch
 from spdz.fixed_point import decode
 from spdz.value import Value
 
@@ -35,6 +35,8 @@ class Output(Gate):
 
     async def evaluate(self, party: Evaluation, z: Value) -> Any:
         """Steps 1 to 3."""
+        if not party.fully_drawn:
+            raise TapeMismatch("the program did not use all that was dealt for it: it is another program")
         if party.has_unchecked_openings:
             await check()
         (opened,) = await party.open(party.shared(z))

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from spdz import field, inner_product
+from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe, Share
 from spdz.types import BigIntArray, FieldArray, Shape
 from spdz.value import Value
@@ -33,6 +34,7 @@ class Contraction:
     product: Callable[[Any, Any], FieldArray]
     clear_product: Callable[[Any, Any], BigIntArray]
     shape: Callable[[Shape, Shape], Shape]
+    bound: Callable[[Bound, Bound, Shape], Bound]
     prepare: Callable[[FieldArray], Any] = lambda a: a
     small_product: Callable[[Any, Any], FieldArray] | None = None
 
@@ -62,6 +64,7 @@ DOT = Contraction(
     inner_product.dot,
     _clear_dot,
     _dot_shape,
+    Bound.dot,
     prepare=inner_product.prepare,
     small_product=inner_product.small_dot,
 )
@@ -70,6 +73,7 @@ ELEMENTWISE = Contraction(
     field.mul,
     lambda x, y: np.asarray(x.astype(object) * y),
     np.broadcast_shapes,
+    Bound.product,
 )
 
 
@@ -123,16 +127,20 @@ class Product(Gate):
 
     by: Contraction
 
-    def _result(self, x: Value, y: Value) -> tuple[Shape, int, int]:
+    def _result(self, x: Value, y: Value) -> tuple[Shape, int, Bound]:
         if not (x.masked and y.masked):
             raise TypeError("a product needs masked values; a computed value must be masked again first")
-        return self.by.shape(x.shape, y.shape), x.frac + y.frac, x.bound * y.bound
+        shape = self.by.shape(x.shape, y.shape)
+        return shape, x.frac + y.frac, self.by.bound(x.bound, y.bound, shape)
 
     def deal(self, recipe: Recipe, x: Value, y: Value) -> Value:
         """Deal [[r_x r_y]]."""
         shape, frac, bound = self._result(x, y)
         recipe.authenticated(
-            shape, lambda: self.by.product(x.parts[0], y.parts[0]), count=(self.by.kind, prod(shape))
+            shape,
+            lambda: self.by.product(x.parts[0], y.parts[0]),
+            of=(x, y),
+            count=(self.by.kind, prod(shape)),
         )
         return recipe.shared_value(self.by.kind, (x, y), shape, frac, bound)
 
@@ -146,7 +154,7 @@ class Product(Gate):
     def clear(self, engine: ClearText, x: Value, y: Value) -> Value:
         """The product itself."""
         product = self.by.clear_product(x.parts[0], y.parts[0])
-        return engine.value(product, x.frac + y.frac, x.bound * y.bound)
+        return engine.value(product, *self._result(x, y)[1:])
 
 
 def dot(x: Value, y: Value) -> Value:

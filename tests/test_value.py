@@ -1,0 +1,162 @@
+"""Linear maps agree with the clear engine, and the public bounds are never exceeded."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocols import is_candidate
+from protocols.scores import S6, S10, Score
+from spdz import beaver_multiply, dot, measure, multiply, nonnegative, run_clear, run_local
+from spdz.bound import Bound
+from spdz.coroutine import parallel
+
+N = 6
+X = np.array([0.5, -1.0, 2.0, 0.25, -0.125, 3.0])
+Y = np.array([1.0, 0.5, -0.5, 4.0, 2.0, -1.5])
+
+
+def formula(function):
+    async def program(engine, x, y):
+        return function(x, y)
+
+    return program
+
+
+LINEAR = {
+    "public on the left": lambda x, y: 2 - x,
+    "array": lambda x, y: x * np.arange(N) + y * 0.5,
+    "broadcast a scalar": lambda x, y: x[:1] + y,
+    "broadcast a public matrix": lambda x, y: (x + np.ones((3, 1))).sum(0) - y,
+    "index": lambda x, y: x[..., ::2] - y[3:],
+    "new axis": lambda x, y: x[:, None] + y[None, :],
+    "reshape": lambda x, y: x.reshape(2, 3) - y.reshape(2, 3),
+    "sums": lambda x, y: x.reshape(2, 3).sum(0).sum() + y.sum(),
+    "different scales": lambda x, y: dot(x, y) + x[0],
+    "products": lambda x, y: multiply(x - y, x + y)[1:] * 3,
+    "dots of public combinations": lambda x, y: dot(x * 2 - y, y + 1),
+}
+
+
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+@pytest.mark.parametrize("name", LINEAR)
+def test_linear_maps_and_products_are_exact(name, security):
+    program = formula(LINEAR[name])
+    assert np.array_equal(run_local(program, X, Y, security).value, run_clear(program, X, Y).value)
+
+
+@pytest.mark.parametrize(
+    ("function", "threshold"),
+    [
+        (lambda x, y: dot(x - 0.5, y - 0.5), 3.8),
+        (lambda x, y: dot(x - 0.5, y - 0.5), 382.0),
+        (lambda x, y: (x[:1] + y).sum(), -10.0),
+        (lambda x, y: dot(x[:, None], y[:, None]).sum(), 0.0),
+    ],
+)
+def test_a_candidate_bit_is_right_whatever_was_added_or_broadcast(function, threshold):
+    """Constants and broadcasting lengthen a vector more than its entries: the comparison must hold both."""
+
+    async def score(engine, x, y):
+        return function(x, y)
+
+    program = is_candidate(Score("mine", "", similarity=True, formula=score, max_norm=1.0), threshold)
+    x = np.full(1536, -1 / 40.0)
+    opened = run_clear(program.score, x, x).value
+    assert run_local(program, x, x).value is bool(opened >= threshold)
+    assert run_clear(program, x, x).value is bool(opened >= threshold)
+
+
+def test_bits_can_be_counted_and_compared():
+    async def most(engine, x, y):
+        bits = await nonnegative(x - y)
+        return await nonnegative(bits.sum() - 50)
+
+    x = np.linspace(1, 2, 60)
+    assert run_local(most, x, -x).value is True
+    assert run_local(most, -x, x).value is False
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    rows=st.integers(1, 3),
+    n=st.integers(1, 9),
+    constant=st.integers(-50, 50),
+    factor=st.integers(-9, 9),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_bounds_hold(rows, n, constant, factor, seed):
+    generator = np.random.default_rng(seed)
+    shape = (rows, n)
+    raw = generator.integers(-100, 101, shape)
+    bound = Bound.of_norm(int(np.ceil(np.linalg.norm(raw, axis=-1).max())))
+    steps = [
+        (raw + constant, bound + Bound.of_entry(abs(constant), shape)),
+        (raw * factor, bound.scaled(abs(factor))),
+        (raw.sum(0), bound.summed(shape, 0)),
+        (raw.sum(1), bound.summed(shape, 1)),
+        (np.broadcast_to(raw[:, :1], shape), Bound(bound.entry, bound.entry).broadcast((rows, 1), shape)),
+        (raw @ raw.T, bound.dot(bound, (rows, rows))),
+        (raw * raw, bound.product(bound, shape)),
+    ]
+    for value, claimed in steps:
+        assert np.abs(value).max() <= claimed.entry
+        assert np.linalg.norm(np.atleast_1d(value), axis=-1).max() <= claimed.norm + 1e-6
+
+
+def test_a_program_that_could_leave_the_field_is_refused_before_it_runs():
+    async def fourth_power(engine, x, y):
+        return await beaver_multiply(dot(x, y), dot(x, y))
+
+    with pytest.raises(ValueError, match="do not fit the field"):
+        run_local(fourth_power, [2.0**20], [2.0**20])
+
+
+def test_a_score_that_is_too_wide_to_compare_is_refused_before_it_runs():
+    wide = Score("wide", "", similarity=True, formula=formula(lambda x, y: dot(x, y) * 2**20))
+    with pytest.raises(ValueError, match="statistical security"):
+        run_local(is_candidate(wide, 0.5), X, Y)
+
+
+@pytest.mark.parametrize("score", [S6, S10], ids=["S6", "S10"])
+def test_vectors_of_different_length_are_refused(score):
+    for x, y in (([1.0], [1.0, 2.0, 3.0]), ([1.0, 2.0], [1.0])):
+        with pytest.raises(ValueError, match="equal length"):
+            run_local(score, x, y)
+
+
+def test_programs_that_need_other_correlations_have_other_recipes():
+    shapes = ((2, 4), (2, 4))
+    programs = [
+        lambda x, y: dot(x, y),
+        lambda x, y: dot(y, x * 2),
+        lambda x, y: dot(x, x),
+        lambda x, y: dot(x[::-1], y),
+        lambda x, y: dot(x[:1], y),
+        lambda x, y: dot((x + np.zeros((3, 1, 1))).sum(0), y),
+        lambda x, y: dot((x + np.zeros((5, 1, 1))).sum(0), y),
+        lambda x, y: multiply(x, y),
+        lambda x, y: multiply(x, y)[0],
+    ]
+    recipes = [measure(formula(function), shapes, "malicious").recipe for function in programs]
+    assert len(set(recipes)) == len(recipes)
+    thresholds = [measure(is_candidate(S10, t), shapes, "malicious") for t in (0.25, 0.5)]
+    assert thresholds[0].recipe == thresholds[1].recipe
+    assert thresholds[0].text != thresholds[1].text
+
+
+@pytest.mark.parametrize("key", [[0, 1], np.array([1]), 1.0, "a", (slice(None), [0])])
+def test_an_index_is_basic_or_refused(key):
+    with pytest.raises(TypeError, match="indexed by"):
+        run_local(formula(lambda x, y: x[key]), X, Y)
+
+
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_a_program_may_run_parts_of_itself_in_parallel(security):
+    async def both(engine, x, y):
+        first, second = await parallel(nonnegative(x - y), nonnegative(y - x))
+        return first + second
+
+    outcome = run_local(both, X, Y, security)
+    assert np.array_equal(outcome.value, np.ones(N))
+    assert outcome.stats[0].rounds == run_local(is_candidate(S10, 0.0), X, Y, security).stats[0].rounds
