@@ -9,6 +9,7 @@ from protocols import is_candidate
 from protocols.scores import S6, S10, Score
 from spdz import beaver_multiply, dot, measure, multiply, nonnegative, run_clear, run_local
 from spdz.bound import Bound
+from spdz.clear import Clear
 from spdz.coroutine import parallel
 
 N = 6
@@ -75,6 +76,19 @@ def test_bits_can_be_counted_and_compared():
     x = np.linspace(1, 2, 60)
     assert run_local(most, x, -x).value is True
     assert run_local(most, -x, x).value is False
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_a_value_never_exceeds_its_own_bound(name):
+    """Judged in the clear engine, with inputs at their bound and constants that lengthen them."""
+    clear = Clear(0)
+    data = np.rint(np.array([X, Y]) * 65536).astype(np.int64)
+    norm = int(np.ceil(max(np.linalg.norm(row) for row in data)))
+    x, y = (clear.value(row, 16, Bound.of_norm(norm)) for row in data)
+    for value in (LINEAR[name](x, y), LINEAR[name](x - 9, y + np.full(N, 7.5))):
+        raw = np.asarray(value.parts[0]).astype(np.float64)
+        assert np.abs(raw).max() <= value.bound.entry
+        assert np.linalg.norm(np.atleast_1d(raw), axis=-1).max() <= value.bound.norm
 
 
 @settings(max_examples=60, deadline=None)

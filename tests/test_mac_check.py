@@ -1,0 +1,118 @@
+"""The MAC check by itself: what passes, and every cheap way of passing that must not."""
+
+import pytest
+
+from spdz import MacCheckFailed, field
+from spdz.coroutine import exchange
+from spdz.field import P
+from spdz.mac_check import MacCheck, drive
+
+ALPHA = (1234567, P - 99)
+SESSION = b"session"
+
+
+def pair(session=SESSION):
+    return MacCheck(ALPHA[0], 0, session), MacCheck(ALPHA[1], 1, session)
+
+
+def open_value(checks, value, error=0):
+    """Both parties record ``value + error``, with MAC shares of ``value``."""
+    share = 42 + value
+    macs = (share, (sum(ALPHA) * value - share) % P)
+    for check, mac in zip(checks, macs, strict=True):
+        check.record(field.from_ints([value + error]), field.from_ints([mac]))
+
+
+def test_honest_parties_pass_again_and_again():
+    checks = pair()
+    for value in (0, 1, P - 1, 2**80):
+        open_value(checks, value)
+        assert all(check.pending for check in checks)
+        messages = [check.message() for check in checks]
+        checks[0].verify(messages[1])
+        checks[1].verify(messages[0])
+        assert not any(check.pending for check in checks)
+
+
+@pytest.mark.parametrize("error", [1, -1, 2**64, P // 2])
+def test_a_wrong_opening_fails_on_both_sides(error):
+    checks = pair()
+    open_value(checks, 7)
+    open_value(checks, 8, error)
+    messages = [check.message() for check in checks]
+    for check, message in zip(checks, messages[::-1], strict=True):
+        with pytest.raises(MacCheckFailed):
+            check.verify(message)
+
+
+@pytest.mark.parametrize("error", [0, 5])
+def test_an_echo_never_passes(error):
+    for check in pair():
+        check.record(field.from_ints([3 + error]), field.from_ints([17]))
+        with pytest.raises(MacCheckFailed):
+            check.verify(check.message())
+
+
+@pytest.mark.parametrize("message", [b"", bytes(32), bytes(31), b"\xff" * 33])
+def test_anything_else_fails(message):
+    for check in pair():
+        with pytest.raises(MacCheckFailed):
+            check.verify(message)
+
+
+def test_a_message_of_an_earlier_check_fails():
+    checks = pair()
+    old = checks[1].message()
+    checks[0].verify(old)
+    with pytest.raises(MacCheckFailed):
+        checks[0].verify(old)
+
+
+def test_a_message_of_another_session_fails():
+    with pytest.raises(MacCheckFailed):
+        pair()[0].verify(pair(b"another")[1].message())
+
+
+def test_another_transcript_fails():
+    checks = pair()
+    checks[0].absorb([b"ab"], b"c")
+    checks[1].absorb([b"c"], b"xb")
+    with pytest.raises(MacCheckFailed):
+        checks[0].verify(checks[1].message())
+
+
+def test_the_same_transcript_in_other_pieces_passes():
+    checks = pair()
+    checks[0].absorb([b"a", b"b"], b"c")
+    checks[1].absorb([b"c"], b"ab")
+    checks[0].verify(checks[1].message())
+
+
+def test_nothing_passes_after_a_failure():
+    checks = pair()
+    with pytest.raises(MacCheckFailed):
+        checks[0].verify(b"wrong")
+    with pytest.raises(MacCheckFailed):
+        checks[0].verify(checks[1].message())
+
+
+def test_a_protocol_may_not_end_with_unchecked_openings():
+    checks = pair()
+
+    async def forgetful():
+        await exchange([b"x"], 1, 1)
+        open_value(checks, 5)
+        return "output"
+
+    frames = drive(forgetful(), checks[0])
+    next(frames)
+    with pytest.raises(MacCheckFailed, match="unchecked"):
+        frames.send(memoryview(b"y"))
+
+
+def test_the_message_does_not_depend_on_how_openings_were_grouped_but_on_all_of_them():
+    first, second = pair(), pair()
+    for checks in (first, second):
+        open_value(checks, 1)
+    open_value(first, 2)
+    assert first[0].message() != second[0].message()
