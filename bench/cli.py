@@ -16,6 +16,7 @@ from bench.pair import Measured, measure_clear, measure_secure
 from protocols import is_candidate
 from protocols.scores import SCORES
 from protocols.textbook import TEXTBOOK
+from spdz.command import run_command
 from spdz.local import run_clear
 from spdz.program import Program
 
@@ -118,7 +119,7 @@ def parser() -> argparse.ArgumentParser:
     add("--score", nargs="+", default=["S10"], choices=SCORES, metavar="S", help="score functions (S10)")
     add("--dim", nargs="+", type=int, default=[1536], metavar="N", help="descriptor lengths (1536)")
     add("--security", nargs="+", default=["malicious"], choices=("malicious", "semi-honest"))
-    add("--engine", nargs="+", choices=("spdz", "textbook", "clear"), help="default: all three")
+    add("--engine", nargs="+", choices=("spdz", "textbook", "clear"), help="default: all that there are")
     add("--reveal", choices=("score", "bit"), default="score", help="open the score (default) or the bit")
     add("--threshold", type=float, default=0.8, help="for --reveal bit (0.8)")
     add("--max-norm", type=float, default=1.0, help="largest norm that the tapes serve (1)")
@@ -132,13 +133,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmark; returns the exit status."""
     arguments = parser()
     options = arguments.parse_args(argv)
-    if options.trials < 1 or min(options.dim) < 1:
-        arguments.error("--trials and --dim must be positive")
+    if options.trials < 1 or min(options.dim) < 1 or options.seed < 0:
+        arguments.error("--trials and --dim must be positive, and --seed not negative")
     if not options.json:
         print(f"{'score':6}{'N':>6}  {'security':12}{'engine':10}", end="")
         print(f"{'ms':>9}{'bytes':>10}{'rounds':>8}{'tape B':>10}")
-    for row in sweep(options):
-        if options.json:
+    if "textbook" in (options.engine or ()) and options.reveal == "bit":
+        arguments.error("there is no textbook protocol for the bit: leave out --engine textbook")
+    try:
+        rows = sweep(options)
+        return run_command("python -m bench", lambda: _print(rows, as_json=options.json))
+    except ValueError as error:
+        arguments.error(str(error))
+
+
+def _print(rows: Iterator[Row], *, as_json: bool) -> int:
+    for row in rows:
+        if as_json:
             print(json.dumps(asdict(row)), flush=True)
         else:
             print(

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from dealer.tapes import deal_tapes
-from spdz.allocator import keep_large_arrays_on_the_heap
 from spdz.channels import Channel
 from spdz.channels.tcp import connect, listen
 from spdz.clear import Clear
+from spdz.command import keep_large_arrays_on_the_heap
 from spdz.driver import run_channel
 from spdz.mac_check import drive
 from spdz.program import Program, declare, quantise, run

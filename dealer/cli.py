@@ -9,10 +9,10 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from dealer.mission import deal_mission
+from dealer.mission import deal_mission, mission_bytes
 from protocols.catalog import Purpose
 from protocols.scores import SCORES
-from spdz.allocator import keep_large_arrays_on_the_heap
+from spdz.command import run_command
 from spdz.fixed_point import MAX_NORM
 from spdz.progress import progress_bar
 
@@ -89,9 +89,12 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the dealer; returns the exit status."""
+    return run_command("python -m spdz.dealer", lambda: _deal(argv))
+
+
+def _deal(argv: Sequence[str] | None) -> int:
     arguments = parser()
     options = arguments.parse_args(argv)
-    keep_large_arrays_on_the_heap()
     started = time.perf_counter()
     try:
         purpose = Purpose(
@@ -101,12 +104,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             tile=options.tile,
             max_norm=options.max_norm,
         )
+        size = mission_bytes(len(options.agents), purpose, options.count, options.security)
+        if size > 100e6 and not options.quiet:
+            print(f"writing about {size / 1e9:.1f} GB in all", file=sys.stderr)
         with progress_bar("dealing", quiet=options.quiet) as report:
             dealt = deal_mission(
                 options.out, options.agents, purpose, options.count, options.security, progress=report
             )
     except (ValueError, OSError) as error:
-        arguments.exit(2, f"{arguments.prog}: {error}\n")
+        if options.json:
+            print(json.dumps({"error": type(error).__name__, "message": str(error)}))
+        else:
+            print(f"{arguments.prog}: {error}", file=sys.stderr)
+        return 2
     seconds = time.perf_counter() - started
     if options.json:
         print(

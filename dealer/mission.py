@@ -18,6 +18,7 @@ from pathlib import Path
 from dealer.pki import MissionAuthority, write_credentials
 from dealer.tapes import deal_tapes
 from protocols.catalog import Purpose
+from spdz.meter import measure
 from spdz.types import Security
 
 
@@ -71,6 +72,15 @@ def deal_mission(
     authority = MissionAuthority()
     credentials = {agent: authority.credentials(agent) for agent in agents}
     authority.forget()
+    jobs = -(-comparisons // purpose.pairs)
+    needed = mission_bytes(len(agents), purpose, comparisons, security)
+    out.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(out).free
+    if needed > free:
+        raise ValueError(
+            f"the tapes would take {needed / 1e9:.1f} GB and {free / 1e9:.1f} GB are free in {out}: deal "
+            "fewer comparisons, larger tiles or a smaller max_norm"
+        )
     for agent in agents:
         if (out / agent).exists():
             raise FileExistsError(
@@ -100,6 +110,20 @@ def deal_mission(
         raise
     sizes = {out / agent: sum(file.stat().st_size for file in (out / agent).iterdir()) for agent in agents}
     return Dealt(sizes, jobs * purpose.pairs, jobs, len(couples))
+
+
+def mission_bytes(agents: int, purpose: Purpose, comparisons: int, security: Security) -> int:
+    """What all tapes of a mission will take on the disk, about.
+
+    Args:
+        agents: Number of robots.
+        purpose: What the tapes are for.
+        comparisons: Comparisons for each pair.
+        security: The security model.
+    """
+    plan = measure(purpose.dealt_program, purpose.shapes, security)
+    jobs = -(-comparisons // purpose.pairs)
+    return agents * (agents - 1) // 2 * jobs * sum(plan.correction_bytes)
 
 
 def _progress_of(report: Callable[[int, int], None], before: int, total: int, done: int) -> None:

@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from protocols.catalog import Purpose
-from protocols.matching import Matches, match
-from spdz.allocator import keep_large_arrays_on_the_heap
+from protocols.matching import Matches, check, match
 from spdz.connect import open_session
 from spdz.errors import SpdzError
 from spdz.progress import progress_bar
 from spdz.session import Session
+from spdz.tape import Tape
 
 _EPILOG = """\
 example, in two terminals (either may start first):
@@ -65,16 +65,28 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 def load_descriptors(path: Path) -> npt.NDArray[Any]:
     """Read an array from a ``.npy`` file; pickled objects are refused."""
     try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (OSError, ValueError, EOFError) as error:
-        raise ValueError(f"cannot read descriptors from {path}: {error}") from None
+        array = np.load(path, allow_pickle=False)
+    except OSError as error:
+        raise ValueError(f"cannot read descriptors from {path}: {error.strerror or error}") from None
+    except (ValueError, EOFError):
+        raise ValueError(
+            f"cannot read descriptors from {path}: not a .npy file of numbers (write one with numpy.save)"
+        ) from None
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"cannot read descriptors from {path}: an .npz; save one array with numpy.save")
+    return array
 
 
 def run_match(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
-    keep_large_arrays_on_the_heap()
     try:
         descriptors = load_descriptors(options.descriptors)
+        state_dir = options.state_dir
+        with Tape.open(options.tape, state_dir=state_dir) as tape:
+            check(tape.header, descriptors, options.threshold)
+            if not options.quiet:
+                where = f"on {options.listen}" if options.listen else f"at {options.connect}"
+                print(f"waiting for {tape.header.peer} {where}, up to {options.wait:g} s", file=sys.stderr)
         with open_session(
             options.tape,
             listen=options.listen,
@@ -83,7 +95,7 @@ def run_match(options: argparse.Namespace) -> int:
             insecure=options.insecure_plain_tcp,
             wait=options.wait,
             timeout=options.timeout,
-            state_dir=options.state_dir,
+            state_dir=state_dir,
         ) as session:
             if session.rolled_back:
                 print("note: this tape is an older copy of itself; its used part is skipped", file=sys.stderr)

@@ -18,8 +18,10 @@ import numpy.typing as npt
 
 from protocols.catalog import Purpose
 from spdz.errors import ProtocolViolation, TapeExhausted
+from spdz.program import Program, quantise
 from spdz.session import Session
 from spdz.stats import Stats
+from spdz.tape import TapeHeader
 
 _BATCH_BYTES = 2 << 20
 """Tiles share rounds up to about this many bytes of masked descriptors."""
@@ -72,14 +74,7 @@ def match(
         TapeExhausted: if the tapes do not hold enough jobs for all pairs; nothing is consumed.
         SpdzError: if anything else goes wrong; the session is dead.
     """
-    purpose = Purpose.from_json(session.header.program)
-    program = purpose.program(threshold)
-    own = np.asarray(descriptors)
-    if own.ndim != 2 or own.shape[1] != purpose.dim or len(own) == 0:
-        raise ValueError(
-            f"expected descriptors of shape (n, {purpose.dim}) with n >= 1 for these tapes, got {own.shape}"
-        )
-    session.check_input(program, own[:, None, :])
+    purpose, program, own = check(session.header, descriptors, threshold)
     note = session.exchange_note({"descriptors": len(own)})
     theirs = note.get("descriptors")
     if type(theirs) is not int or not 1 <= theirs <= 1 << 24:
@@ -113,6 +108,28 @@ def match(
         done += len(places)
         progress(done, len(grid))
     return Matches(table[: len(own), :theirs], stats, len(grid))
+
+
+def check(
+    header: TapeHeader, descriptors: npt.ArrayLike, threshold: float | None
+) -> tuple[Purpose, Program, npt.NDArray[Any]]:
+    """Whether descriptors and threshold suit a tape, as far as this robot can tell alone.
+
+    Returns:
+        The tape's purpose, the program to run, and the descriptors as an array.
+
+    Raises:
+        ValueError: naming what does not suit.
+    """
+    purpose = Purpose.from_json(header.program)
+    program = purpose.program(threshold)
+    own = np.asarray(descriptors)
+    if own.ndim != 2 or own.shape[1] != purpose.dim or len(own) == 0:
+        raise ValueError(
+            f"expected descriptors of shape (n, {purpose.dim}) with n >= 1 for these tapes, got {own.shape}"
+        )
+    quantise(program, own, "descriptors")
+    return purpose, program, own
 
 
 def _blocks(descriptors: npt.NDArray[Any], size: int) -> list[npt.NDArray[Any]]:

@@ -26,6 +26,7 @@ from spdz.session import Result, Session
 from spdz.stats import Outcome, Stats
 from spdz.stock import Stock
 from spdz.value import Value
+from spdz.version import __version__
 
 __all__ = [
     "ChannelClosed",
@@ -51,6 +52,7 @@ __all__ = [
     "TapeInUse",
     "TapeMismatch",
     "Value",
+    "__version__",
     "beaver_dot",
     "beaver_multiply",
     "dot",

@@ -6,6 +6,9 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from spdz.command import run_command
+from spdz.version import __version__
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status."""
@@ -20,9 +23,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     add_match(commands)
     add_demo(commands)
+    parser.add_argument("--version", action="version", version=f"spdz {__version__}")
     options = parser.parse_args(argv)
-    status: int = options.run(options)
-    return status
+    return run_command("python -m spdz", lambda: int(options.run(options)))
 
 
 if __name__ == "__main__":

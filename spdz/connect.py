@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from spdz.channels import Channel, tcp, tls
@@ -40,6 +41,9 @@ def open_session(
     """
     if (listen is None) == (connect is None):
         raise ValueError("give exactly one of listen= and connect=")
+    for name, seconds in (("wait", wait), ("timeout", timeout)):
+        if not (seconds > 0 and math.isfinite(seconds)):
+            raise ValueError(f"{name} must be a positive number of seconds, not {seconds!r}")
     path = Path(tape)
     opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
     try:

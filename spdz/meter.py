@@ -25,7 +25,7 @@ from spdz.engine import Gate, Input, Recipe
 from spdz.fixed_point import FRACTION_BITS
 from spdz.program import Program, declare, run
 from spdz.stock import Stock
-from spdz.types import FieldArray, IntArray, Security, Shape
+from spdz.types import FieldArray, IntArray, Security, Shape, check_security
 from spdz.value import Value
 from spdz.wire import ELEMENT_BYTES
 
@@ -123,6 +123,7 @@ class Meter(Recipe):
     """The dealer's reading without data."""
 
     def __init__(self, security: Security) -> None:
+        check_security(security)
         self.security = security
         self.ring = SymbolRing()
         self.pad_bytes, self.correction_bytes = [0, 0], [0, 0]

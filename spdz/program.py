@@ -9,6 +9,7 @@ its result is opened after it, so a program can neither mask an input twice nor 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Mapping, Sequence
+from inspect import isawaitable
 from typing import Any, Protocol
 
 from spdz.engine import Engine, Input
@@ -51,4 +52,13 @@ def declare(
 async def run(engine: Engine, program: Program, inputs: Sequence[Input]) -> Any:
     """Mask the inputs, run the program, open its result."""
     x, y = await engine.read(MaskedInput(), *inputs)
-    return await output(engine, await program(engine, x, y))
+    pending = program(engine, x, y)
+    if not isawaitable(pending):
+        raise TypeError("a program must be an `async def`: this one did not return an awaitable")
+    result = await pending
+    if not isinstance(result, Value):
+        raise TypeError(
+            f"a program must return one value, not {type(result).__name__} (is there a `return`, and an "
+            "`await` before nonnegative, beaver_dot and beaver_multiply?)"
+        )
+    return await output(engine, result)

@@ -40,7 +40,7 @@ from spdz.meter import Plan, measure
 from spdz.party import JobStream, Party
 from spdz.program import Program, declare, quantise, run
 from spdz.stats import Stats
-from spdz.tape import Tape
+from spdz.tape import Tape, TapeHeader
 from spdz.types import IntArray, Json, Shape
 from spdz.wire import ELEMENT_BYTES
 
@@ -97,10 +97,12 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None and self._dead is None:
+            self._die(error)  # the peer is told that this side stopped
         self.close()
 
     @property
-    def header(self) -> Any:
+    def header(self) -> TapeHeader:
         """The tape's header."""
         return self._tape.header
 
@@ -134,10 +136,10 @@ class Session:
         what it needs, at the price of a disk flush.
 
         Raises:
-            TapeExhausted: if fewer jobs are left; nothing is consumed.
+            TapeExhausted: if fewer jobs are left; nothing is consumed, and the session lives on.
         """
-        with self._guard():
-            self._reserve(jobs)
+        self._require_alive()
+        self._reserve(jobs)
 
     def run(self, program: Program, data: npt.ArrayLike) -> Result:
         """Run one job on this party's input.
@@ -176,10 +178,6 @@ class Session:
             lanes = [self._lane(program, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)]
             values = run_channel(drive(_all(lanes), self._mac_check), self._channel, stats)
         return Result(values, stats)
-
-    def check_input(self, program: Program, data: npt.ArrayLike) -> None:
-        """Check values and range of any number of inputs, consuming nothing; raises ValueError."""
-        quantise(program, data, "descriptors")
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
         """Swap one small public JSON object with the peer, such as how many descriptors there are."""

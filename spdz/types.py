@@ -28,5 +28,18 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Security: TypeAlias = Literal["malicious", "semi-honest"]
 """The two security models; malicious is the default everywhere."""
 
+SECURITIES: tuple[Security, ...] = ("malicious", "semi-honest")
+
+
+def check_security(security: str) -> None:
+    """Refuse anything but the two models: a misspelt one must not become the weaker one.
+
+    Raises:
+        ValueError: naming both.
+    """
+    if security not in SECURITIES:
+        raise ValueError(f"security must be one of {SECURITIES}, not {security!r}")
+
+
 Json: TypeAlias = Any
 """A value that ``json`` can write."""

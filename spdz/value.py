@@ -123,6 +123,17 @@ class Value:
 
     __rmul__ = __mul__
 
+    def __truediv__(self, divisor: object) -> Value:
+        raise TypeError("a secret value cannot be divided: multiply by the reciprocal of a public number")
+
+    def __lt__(self, other: object) -> bool:
+        raise TypeError("compare secret values by `await spdz.nonnegative(x - y)`, which gives a secret bit")
+
+    __le__ = __gt__ = __ge__ = __lt__
+
+    def __bool__(self) -> bool:
+        raise TypeError("a program cannot branch on a secret value: only its result is opened")
+
     def plus_raw(self, raw: int | IntArray) -> Value:
         """Add public raw integers (in units of ``2**-frac``)."""
         result = self.engine.plus(self, raw)

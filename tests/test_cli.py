@@ -1,6 +1,7 @@
 """The commands of the README, as a user types them, in processes of their own."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -34,7 +35,7 @@ def match_both(folder, *extra, thresholds=("0.8", "0.8"), wait="20"):
     ):
         words = ["spdz", "match", "--tape", f"{folder}/{robot}/{peer}.tape", role, f"127.0.0.1:{port}"]
         words += ["--descriptors", f"{folder}/{robot}.npy", "--threshold", threshold]
-        words += ["--state-dir", f"{folder}/state-{robot}", "--wait", wait, *extra]
+        words += ["--state-dir", f"{folder}/state-{robot}", "--wait", wait, "--quiet", *extra]
         processes.append(
             subprocess.Popen(
                 [sys.executable, "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -153,3 +154,43 @@ def test_the_bench_prints_one_json_object_a_line():
     for row in rows:
         assert {"n", "security", "trials", "median_ms", "bytes_sent", "rounds", "tape_bytes"} <= set(row)
         assert row["max_abs_error"] == 0.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_a_command_in_one_line(mission, number):
+    words = [sys.executable, "-m", "spdz", "match", "--tape", f"{mission}/alice/bob.tape"]
+    words += ["--listen", f"127.0.0.1:{free_port()}", "--descriptors", f"{mission}/alice.npy"]
+    process = subprocess.Popen([*words, "--threshold", "0.8"], stderr=subprocess.PIPE, text=True)
+    assert "waiting for bob" in process.stderr.readline()
+    process.send_signal(number)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert "interrupted" in err and "Traceback" not in err
+
+
+def test_an_interrupted_dealer_leaves_nothing_behind(tmp_path):
+    words = [sys.executable, "-m", *"spdz.dealer --agents a b --score S10 --dim 512 --count 200000".split()]
+    process = subprocess.Popen([*words, "--out", str(tmp_path / "m")], stderr=subprocess.PIPE, text=True)
+    assert "writing about" in process.stderr.readline()
+    while not list(tmp_path.glob("m/b/.*")):
+        assert process.poll() is None
+    process.terminate()
+    process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert list(tmp_path.glob("m/*")) == []
+
+
+def test_a_mission_that_does_not_fit_the_disk_is_refused(tmp_path):
+    result = deal(tmp_path / "m", "--count", "1000000000000")
+    assert result.returncode == 2 and "are free" in result.stderr
+    assert not list(tmp_path.glob("m/*"))
+
+
+def test_bad_descriptors_are_told_before_waiting_for_the_peer(mission):
+    np.save(mission / "alice.npy", np.zeros((2, DIM + 1)))
+    result = command(
+        *f"spdz match --tape {mission}/alice/bob.tape --listen 127.0.0.1:{free_port()}".split(),
+        *f"--descriptors {mission}/alice.npy --threshold 0.8 --wait 50".split(),
+    )
+    assert result.returncode == 2 and "expected descriptors" in result.stderr
+    assert "waiting" not in result.stderr

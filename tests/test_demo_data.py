@@ -74,7 +74,7 @@ def test_missing_package_names_the_extra_to_install(monkeypatch: pytest.MonkeyPa
         raise ModuleNotFoundError("No module named 'rtbdata'")
 
     monkeypatch.setattr("importlib.resources.files", missing)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'spdz\[demo\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"pip install -e '.\[demo\]'"):
         dataset.load()
 
 

@@ -174,3 +174,28 @@ def test_a_program_may_run_parts_of_itself_in_parallel(security):
     outcome = run_local(both, X, Y, security)
     assert np.array_equal(outcome.value, np.ones(N))
     assert outcome.stats[0].rounds == run_local(is_candidate(S10, 0.0), X, Y, security).stats[0].rounds
+
+
+@pytest.mark.parametrize("security", ["semihonest", "Malicious", "MALICIOUS", "", None, "semi_honest"])
+def test_a_misspelt_security_model_never_becomes_the_weaker_one(security):
+    with pytest.raises(ValueError, match="security must be one of"):
+        run_local(S10, X, Y, security)
+    with pytest.raises(ValueError, match="security must be one of"):
+        measure(S10, ((N,), (N,)), security)
+
+
+@pytest.mark.parametrize(
+    ("program", "says"),
+    [
+        (lambda engine, x, y: dot(x, y), "async def"),
+        (formula(lambda x, y: None), "must return one value, not NoneType"),
+        (formula(lambda x, y: (x, y)), "must return one value, not tuple"),
+        (formula(lambda x, y: x / 2), "reciprocal"),
+        (formula(lambda x, y: x > y), "nonnegative"),
+        (formula(lambda x, y: x if dot(x, y) else y), "branch"),
+        (formula(lambda x, y: x * y), "spdz.multiply"),
+    ],
+)
+def test_a_mistake_in_a_program_is_explained(program, says):
+    with pytest.raises(TypeError, match=says):
+        run_local(program, X, Y)

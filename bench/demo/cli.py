@@ -30,7 +30,10 @@ def _run(options: argparse.Namespace) -> int:
         from bench.demo.report import show
         from bench.demo.run import DemoFailed, run_demo
     except ImportError as error:
-        print(f"python -m spdz demo: {error}; install the extra: pip install 'spdz[demo]'", file=sys.stderr)
+        print(
+            f"python -m spdz demo: {error}; install the demo's extras: pip install -e '.[demo]'",
+            file=sys.stderr,
+        )
         return 1
     try:
         report = run_demo(options.out, options.security)

@@ -63,7 +63,7 @@ def load() -> Run:
         archive = resources.files("rtbdata") / ARCHIVE
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
-            "the demo's laser scans are in the package rtb-data: pip install 'spdz[demo]'"
+            "the demo's laser scans are in the package rtb-data: pip install -e '.[demo]'"
         ) from error
     if not archive.is_file():
         raise FileNotFoundError(

@@ -165,8 +165,9 @@ def _match(folder: Path, robots: tuple[places.Robot, places.Robot], threshold: f
 
 
 def _clear_milliseconds(alice: places.Robot, bob: places.Robot) -> float:
-    """Time of the decision itself once Bob has Alice's descriptors in the clear."""
-    started = time.perf_counter()
-    scores = alice.descriptors @ bob.descriptors.T
-    _ = scores >= places.DEFAULT_THRESHOLD
-    return (time.perf_counter() - started) * 1e3
+    """Time of the decision itself once Bob has Alice's descriptors in the clear; the second of two runs."""
+    for _ in range(2):
+        started = time.perf_counter()
+        _ = alice.descriptors @ bob.descriptors.T >= places.DEFAULT_THRESHOLD
+        seconds = time.perf_counter() - started
+    return seconds * 1e3
