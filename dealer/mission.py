@@ -72,7 +72,6 @@ def deal_mission(
     authority = MissionAuthority()
     credentials = {agent: authority.credentials(agent) for agent in agents}
     authority.forget()
-    jobs = -(-comparisons // purpose.pairs)
     needed = mission_bytes(len(agents), purpose, comparisons, security)
     out.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(out).free
