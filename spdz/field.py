@@ -61,11 +61,7 @@ def from_int(k: int) -> FieldArray:
 
 
 def to_int(a: FieldArray) -> int:
-    """One element (shape (2,)) as a Python integer in [0, p).
-
-    Raises:
-        ValueError: if the array does not hold exactly one element.
-    """
+    """The one element of an array as an integer in [0, p); ValueError if there is not exactly one."""
     (value,) = to_list(a)
     return value
 
@@ -205,6 +201,23 @@ def sub(a: FieldArray, b: FieldArray) -> FieldArray:
     result = np.empty((*low.shape, 2), dtype=np.uint64)
     np.subtract(low, negative, out=result[..., 0])
     np.subtract(high, low < negative, out=result[..., 1])
+    return result
+
+
+def sub_from_int64(x: IntArray, a: FieldArray) -> FieldArray:
+    """Elementwise x - a for signed integers x of a's shape S: what masks an input, in one pass."""
+    result = np.empty(a.shape, dtype=np.uint64)
+    low, high = result[..., 0], result[..., 1]
+    np.bitwise_xor(a[..., 0], _ONES, out=low)  # p - a is the complement of a's 127 bits
+    np.bitwise_xor(a[..., 1], _LOW63, out=high)
+    words = x.view(np.uint64)
+    np.add(low, words, out=low)
+    np.add(high, low < words, out=high)
+    np.add(high, (x >> np.int64(63)).view(np.uint64), out=high)
+    # The sum lies in (-2^63, p + 2^63); one that left [0, p) has a high word of at least 2^63 - 1.
+    if high.max(initial=0) >= _LOW63:
+        left = high >= _LOW63
+        result[left] = sub(from_int64(x[left]), a[left])
     return result
 
 

@@ -284,3 +284,27 @@ def test_results_are_writable():
     a = field.from_int(5)
     for result in (a, field.add(a, a), field.mul(a, a), field.scale(a, 2), field.neg(a)):
         result[...] = 0
+
+
+@laws
+@given(
+    st.lists(
+        st.tuples(
+            st.one_of(st.sampled_from([0, 1, -1, 2**63 - 1, -(2**63)]), st.integers(-(2**39), 2**39)),
+            elements,
+        ),
+        min_size=1,
+        max_size=40,
+    )
+)
+def test_masking_short_integers_is_a_subtraction(pairs):
+    x = np.array([short for short, _ in pairs], dtype=np.int64)
+    result = field.sub_from_int64(x, field.from_ints([element for _, element in pairs]))
+    check(result, [short - element for short, element in pairs])
+
+
+def test_masking_reaches_both_ends_of_the_field():
+    shorts, masks = [0, 1, -1, 2**63 - 1, -(2**63)], [0, 1, 2, P - 1, P - 2, 2**63, P - 2**63]
+    x = np.array(shorts, dtype=np.int64)[:, None] + np.zeros(len(masks), dtype=np.int64)
+    a = np.broadcast_to(field.from_ints(masks), (*x.shape, 2))
+    check(field.sub_from_int64(x, a), [short - mask for short in shorts for mask in masks])

@@ -37,7 +37,7 @@ class MaskedInput(Gate):
         """Send x - r for the own inputs, receive the peer's."""
         shares = [party.input_mask(source) for source in inputs]
         sent = [
-            field.sub(field.from_int64(source.data), mask)
+            field.sub_from_int64(source.data, mask)
             for source, (mask, _) in zip(inputs, shares, strict=True)
             if source.data is not None and mask is not None
         ]
