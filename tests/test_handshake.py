@@ -71,7 +71,7 @@ def test_a_peer_that_claims_an_absurd_cursor_is_refused(robots, claim):
         {"program": {"shapes": float("nan")}},
         {"program": {"\x1b[2J evil\n" * 900: 1}},
         {"security": "\x1b[31m" + "x" * 9000},
-        {"cursor": 10**400},
+        {"cursor": 10**2000},
         {"agents": ["alice", "eve\n\x1b"]},
     ],
 )
