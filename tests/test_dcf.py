@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz import dcf, field
+from spdz.dcf.format import tiles
 from spdz.field import P
 from spdz.types import Block, FieldArray
 
@@ -120,6 +121,74 @@ def test_many_payloads_exceed_a_group_of_levels() -> None:
     deal = Deal([40, 3, 63], 6, 3000)
     points = [39, 3, 62]
     assert deal.sum_at(points) == deal.expected_at(points)
+
+
+# -- many points a key ------------------------------------------------------------------------------------
+
+
+def sum_at_grid(deal: Deal, grid: list[list[int]]) -> list[list[list[int]]]:
+    """Sums of shape (n, k, w) as integers."""
+    points = words([x for row in grid for x in row]).reshape(deal.n, -1, 2)
+    total = shares(deal.roots, (deal.key, deal.key), points, deal.bits, deal.w)
+    assert total.shape == (deal.n, points.shape[1], deal.w, 2)
+    return field.to_ints(total).tolist()  # type: ignore[no-any-return]
+
+
+def expected_at_grid(deal: Deal, grid: list[list[int]]) -> list[list[list[int]]]:
+    columns = [deal.expected_at(list(column)) for column in zip(*grid, strict=True)]
+    return [list(rows) for rows in zip(*columns, strict=True)]
+
+
+@pytest.mark.parametrize(("bits", "w"), [(1, 2), (3, 1), (5, 4), (6, 2)])
+def test_every_key_of_a_small_domain_at_all_points_at_once(bits: int, w: int) -> None:
+    size = 1 << bits
+    deal = Deal(list(range(size)), bits, w, seed=bits)
+    grid = [list(range(size))] * size
+    assert sum_at_grid(deal, grid) == expected_at_grid(deal, grid)
+
+
+@pytest.mark.parametrize(("n", "k"), [(1, 1), (1, 3), (2, 140), (3, 1), (7, 5)])
+@pytest.mark.parametrize("bits", [20, 63, 64, 65, 81, 127])
+def test_many_points_per_key_equal_as_many_single_evaluations(n: int, k: int, bits: int) -> None:
+    rng, last, w = np.random.default_rng(bits), (1 << bits) - 1, 2
+    thresholds = [int.from_bytes(rng.bytes(16), "little") & last for _ in range(n)]
+    deal = Deal(thresholds, bits, w, seed=n)
+    near = [[0, a, last, max(a - 1, 0), min(a + 1, last)] for a in thresholds]
+    grid = [
+        (row + [int.from_bytes(rng.bytes(16), "little") & last for _ in range(k)])[-k - 2 : -2]
+        for row in near
+    ]
+    points = words([x for row in grid for x in row]).reshape(n, k, 2)
+    for party in (0, 1):
+        together = dcf.evaluate(party, deal.roots[party], deal.key, points, bits, w)
+        for j in range(k):
+            alone = dcf.evaluate(party, deal.roots[party], deal.key, points[:, j].copy(), bits, w)
+            assert np.array_equal(together[:, j], alone)
+    assert sum_at_grid(deal, grid) == expected_at_grid(deal, grid)
+
+
+@pytest.mark.parametrize(
+    ("n", "k"), [(1, 1023), (1, 1025), (2, 2500), (40, 50), (1030, 2), (3, 700), (0, 3), (2, 0)]
+)
+def test_grids_across_the_chunk_boundary(n: int, k: int) -> None:
+    rng = np.random.default_rng(n)
+    thresholds = rng.integers(0, 1 << 20, n).tolist()
+    deal = Deal(thresholds, 20, 2)
+    grid = rng.integers(0, 1 << 20, (n, k)).tolist()
+    if n * k:
+        assert sum_at_grid(deal, grid) == expected_at_grid(deal, grid)
+    else:
+        empty = np.empty((n, k, 2), dtype=np.uint64)
+        assert dcf.evaluate(0, deal.roots[0], deal.key, empty, 20, 2).shape == (n, k, 2, 2)
+
+
+def test_a_grid_of_points_is_walked_in_tiles_of_bounded_size() -> None:
+    for n, k in [(1, 5000), (5000, 1), (3, 700), (700, 3), (1025, 1025), (2, 1024), (8192, 140)]:
+        covered = np.zeros((n, k), dtype=np.int64)
+        for keys, points in tiles(n, k):
+            covered[keys, points] += 1
+            assert covered[keys, points].size <= 1024
+        assert np.all(covered == 1)
 
 
 # -- an independent evaluator of the key format on Python integers ------------------------------------
@@ -262,6 +331,8 @@ def test_numbers_outside_the_domain_are_refused(bits: int) -> None:
     for bad in (1 << bits, (1 << 128) - 1, 1 << 127):
         with pytest.raises(ValueError, match="points must be below"):
             dcf.evaluate(0, deal.roots[0], deal.key, words([0, bad]), bits, 1)
+        with pytest.raises(ValueError, match="points must be below"):
+            dcf.evaluate(0, deal.roots[0], deal.key, words([0, 0, 0, bad]).reshape(2, 2, 2), bits, 1)
         with pytest.raises(ValueError, match="threshold must be below"):
             dcf.generate(*deal.roots, words([bad, 0]), deal.payload, bits)
 
@@ -286,6 +357,9 @@ def test_arguments_that_do_not_fit_are_refused() -> None:
         dcf.evaluate(0, root, key, points, 5, 0)
     with pytest.raises(ValueError, match="points must be uint64"):
         dcf.evaluate(0, root, key, points[:1], 5, 2)
+    for shape in ((2, 1, 3), (1, 2, 2), (2, 1, 1, 2), (2,)):
+        with pytest.raises(ValueError, match="points must be uint64"):
+            dcf.evaluate(0, root, key, np.zeros(shape, dtype=np.uint64), 5, 2)
     with pytest.raises(ValueError, match="points must be uint64"):
         dcf.evaluate(0, root, key, points.astype(np.int64), 5, 2)
     with pytest.raises(ValueError, match="roots1 must be uint64"):

@@ -53,8 +53,8 @@ def generate(roots0: Block, roots1: Block, threshold: Block, payload: FieldArray
     n, w = payload.shape[:2]
     check_width(bits, w)
     for name, seeds in (("roots0", roots0), ("roots1", roots1)):
-        check_blocks(name, seeds, n)
-    check_domain("threshold", threshold, n, bits)
+        check_blocks(name, seeds, (n,))
+    check_domain("threshold", threshold, (n,), bits)
     if not field.is_canonical(payload):
         raise ValueError("the payload must be below p")
     index = secrets.randbits(INDEX_BITS)

@@ -13,7 +13,6 @@ from spdz.dcf.format import (
     check_blocks,
     check_domain,
     check_width,
-    chunks,
     control_masks,
     correction_words,
     group_size,
@@ -21,6 +20,7 @@ from spdz.dcf.format import (
     key_bytes,
     payload_tweaks,
     set_root,
+    tiles,
     top_bits,
 )
 from spdz.prf import FixedKeyHash
@@ -30,18 +30,18 @@ _ONE, _32 = np.uint64(1), np.uint64(32)
 
 
 def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w: int) -> FieldArray:
-    """One party's additive shares of beta [x < a] for n keys, each at its own point.
+    """One party's additive shares of beta [x < a] for n keys, each at its own point or at k points.
 
     Args:
         party: 0 or 1.
         roots: This party's root seeds, shape (n, 2).
         key: The correction words of :func:`generate`.
-        points: The public x, shape (n, 2), below 2^bits.
+        points: The public x below 2^bits, shape (n, 2) or (n, k, 2).
         bits: Width of the domain, 1 to 127.
         w: Payloads a key.
 
     Returns:
-        Shares of shape (n, w, 2).
+        Shares of shape (n, w, 2) or (n, k, w, 2).
 
     Raises:
         ValueError: for shapes or a length that do not fit, or a point out of range.
@@ -50,8 +50,9 @@ def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w:
     check_width(bits, w)
     if party not in (0, 1):
         raise ValueError(f"the party must be 0 or 1, not {party}")
-    check_blocks("roots", roots, n)
-    check_domain("points", points, n, bits)
+    check_blocks("roots", roots, (n,))
+    k = points.shape[1] if points.ndim == 3 else 1
+    check_domain("points", points, (n, k) if points.ndim == 3 else (n,), bits)
     if memoryview(key).nbytes != key_bytes(n, bits, w):
         size = key_bytes(n, bits, w)
         raise ValueError(f"{n} keys of {bits} bits have {size} bytes, not {memoryview(key).nbytes}")
@@ -61,31 +62,39 @@ def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w:
         raise ValueError("the key does not begin with a hash index: it is damaged or not a key")
     fixed_key_hash = FixedKeyHash(index)
     seed_words, payload_words = correction_words(words, n, bits, w)
-    sums = np.empty((n, w, 4), dtype=np.uint64)
-    for part in chunks(n):
-        directions = top_bits(points[part], bits)
+    grid = points.reshape(n, k, 2)
+    sums = np.empty((n, k, w, 4), dtype=np.uint64)
+    for keys, part in tiles(n, k):
+        directions = top_bits(grid[keys, part].reshape(-1, 2), bits)
         seeds = np.empty((bits + 1, directions.shape[1], 2), dtype=np.uint64)
-        set_root(party, roots[part], seeds[0])
-        _walk(fixed_key_hash, seeds, directions, seed_words[:, part], payload_words[:-1, 0, part])
-        sums[part] = _payload_sums(fixed_key_hash, seeds, payload_words[:, :, part])
-    shares = field.from_words32(sums)
+        tile = sums[keys, part]
+        set_root(party, roots[keys, None], seeds[0].reshape(*tile.shape[:2], 2))
+        _walk(fixed_key_hash, seeds, directions, seed_words[:, keys], payload_words[:-1, 0, keys])
+        tile[...] = _payload_sums(fixed_key_hash, seeds, payload_words[:, :, keys]).reshape(tile.shape)
+    shares = field.from_words32(sums.reshape(*points.shape[:-1], w, 4))
     return field.neg(shares) if party else shares
+
+
+def _each(words: Words, paths: int) -> Words:
+    """Words of shape (..., n) for n keys at k points: shape (..., n k), a copy only if n > 1 and k > 1."""
+    n = words.shape[-1]
+    return np.broadcast_to(words[..., None], (*words.shape, paths // n)).reshape(*words.shape[:-1], paths)
 
 
 def _walk(
     fixed_key_hash: FixedKeyHash, seeds: Block, directions: Words, seed_words: Block, flip_words: Block
 ) -> None:
-    """Fill ``seeds`` (bits + 1, n, 2) from its first row along the path of ``directions``."""
-    bits, n = directions.shape
-    tweaks = np.zeros((bits, n, 2), dtype=np.uint64)
+    """Fill ``seeds`` (bits + 1, n k, 2) from its first row along the path of ``directions``."""
+    bits, paths = directions.shape
+    tweaks = np.zeros((bits, paths, 2), dtype=np.uint64)
     np.bitwise_or(directions, _ONE, out=tweaks[..., 0])
     # The chosen child's control-bit correction goes on top: right = left ^ flip.
-    low_words = seed_words[..., 0]
-    high_words = directions & flip_words[..., 1]
-    high_words ^= seed_words[..., 1]
-    block, hashed, correction = (np.empty((n, 2), dtype=np.uint64) for _ in range(3))
+    low_words = _each(seed_words[..., 0], paths)
+    high_words = directions & _each(flip_words[..., 1], paths)
+    high_words ^= _each(seed_words[..., 1], paths)
+    block, hashed, correction = (np.empty((paths, 2), dtype=np.uint64) for _ in range(3))
     low, high = correction[:, 0], correction[:, 1]
-    control = np.empty(n, dtype=np.int64)
+    control = np.empty(paths, dtype=np.int64)
     mask = control.view(np.uint64)
     signed = seeds.view(np.int64)[..., 1]
     xor, bitwise_and, right_shift = np.bitwise_xor, np.bitwise_and, np.right_shift
@@ -103,24 +112,32 @@ def _walk(
 
 
 def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> Words:
-    """Sum the payload of all nodes, in base 2^32: shape (n, w, 4)."""
-    levels, w, n = words.shape[:3]
-    group = group_size(n * w, levels)
-    tweaks = payload_tweaks(w, n)
-    total, upper = (np.zeros((w, n, 2), dtype=np.uint64) for _ in range(2))
-    workspace = np.empty((2, group, w, n, 2), dtype=np.uint64)
+    """Sum the payload of all nodes, in base 2^32: shape (n k, w, 4)."""
+    levels, paths = seeds.shape[:2]
+    w, n = words.shape[1:3]
+    group = group_size(paths * w, levels)
+    tweaks = payload_tweaks(w, paths)
+    total, upper = (np.zeros((w, paths, 2), dtype=np.uint64) for _ in range(2))
+    workspace = np.empty((2, group, w, paths, 2), dtype=np.uint64)
     for start in range(0, levels, group):
-        nodes = seeds[start : start + group, None]
+        part = slice(start, start + group)
+        nodes = seeds[part, None]
         blocks, corrections = workspace[:, : len(nodes)]
         np.bitwise_xor(nodes, tweaks, out=blocks)
         hash_in_place(fixed_key_hash, blocks)
-        np.bitwise_and(words[start : start + group], control_masks(nodes), out=corrections)
+        masks = control_masks(nodes)
+        if n == paths:
+            np.bitwise_and(words[part], masks, out=corrections)
+        else:
+            for half in (0, 1):
+                each = _each(words[part, ..., half], paths)
+                np.bitwise_and(each, masks[..., half], out=corrections[..., half])
         blocks ^= corrections
         total += np.add.reduce(blocks, axis=0)
         blocks >>= _32
         upper += np.add.reduce(blocks, axis=0)
     # At most 128 terms: upper < 2^39, and total (mod 2^64) - 2^32 upper is the sum of the lower halves.
-    sums = np.empty((n, w, 2, 2), dtype=np.uint64)
+    sums = np.empty((paths, w, 2, 2), dtype=np.uint64)
     sums[..., 1] = upper.swapaxes(0, 1)
     sums[..., 0] = (total - (upper << _32)).swapaxes(0, 1)
-    return sums.reshape(n, w, 4)
+    return sums.reshape(paths, w, 4)

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from spdz.prf import FixedKeyHash
-from spdz.types import Block
+from spdz.types import Block, Shape
 
 WORD = np.dtype("<u8")
 INDEX_BITS = 32
 _HEADER = 16
-_CHUNK = 1024  # keys at a time: their seeds on all levels stay in the second-level cache
+_CHUNK = 1024  # paths at a time: their seeds on all levels stay in the second-level cache
 _GROUP = 8192  # payload blocks at a time: they and their temporaries stay close to the first level
 TOP = np.uint64(1 << 63)
 # right_shift(int64, 63) spreads the top bit over the word. To a ufunc, a 0-d array costs less than a scalar.
@@ -58,7 +58,7 @@ def hash_in_place(fixed_key_hash: FixedKeyHash, blocks: Block) -> None:
 def set_root(party: int, roots: Block, out: Block) -> None:
     """Copy root seeds with the party's number as the control bit."""
     out[...] = roots
-    high = out[:, 1]
+    high = out[..., 1]
     high &= ~TOP
     high |= TOP * np.uint64(party)
 
@@ -81,10 +81,17 @@ def top_bits(numbers: Block, bits: int) -> Words:
     return result
 
 
-def chunks(n: int) -> Iterator[slice]:
-    """Nearly equal parts of at most ``_CHUNK``."""
-    size = max(1, -(-n // max(1, -(-n // _CHUNK))))
+def chunks(n: int, most: int = _CHUNK) -> Iterator[slice]:
+    """Nearly equal parts of at most ``most``."""
+    size = max(1, -(-n // max(1, -(-n // most))))
     return (slice(start, start + size) for start in range(0, n, size))
+
+
+def tiles(n: int, k: int) -> Iterator[tuple[slice, slice]]:
+    """Keys and points in tiles of at most ``_CHUNK`` paths."""
+    points = list(chunks(k))
+    width = points[0].stop if points else 1
+    return ((keys, part) for keys in chunks(n, max(1, _CHUNK // width)) for part in points)
 
 
 def check_width(bits: int, w: int) -> None:
@@ -95,15 +102,16 @@ def check_width(bits: int, w: int) -> None:
         raise ValueError(f"there must be at least one payload, not {w}")
 
 
-def check_blocks(name: str, blocks: Block, n: int) -> None:
-    """Refuse anything but n 128-bit blocks."""
-    if blocks.shape != (n, 2) or blocks.dtype != np.uint64:
-        raise ValueError(f"{name} must be uint64 of shape ({n}, 2), not {blocks.dtype} of {blocks.shape}")
+def check_blocks(name: str, blocks: Block, shape: Shape) -> None:
+    """Refuse anything but 128-bit blocks of a shape."""
+    shape = (*shape, 2)
+    if blocks.shape != shape or blocks.dtype != np.uint64:
+        raise ValueError(f"{name} must be uint64 of shape {shape}, not {blocks.dtype} of {blocks.shape}")
 
 
-def check_domain(name: str, numbers: Block, n: int, bits: int) -> None:
+def check_domain(name: str, numbers: Block, shape: Shape, bits: int) -> None:
     """Refuse numbers that are not below 2^bits."""
-    check_blocks(name, numbers, n)
-    low, high = (int(numbers[:, word].max(initial=0)) for word in (0, 1))
+    check_blocks(name, numbers, shape)
+    low, high = (int(numbers[..., word].max(initial=0)) for word in (0, 1))
     if high >> max(bits - 64, 0) or low >> bits:
         raise ValueError(f"{name} must be below 2^{bits}")
