@@ -63,13 +63,30 @@ class DealtJob(Recipe):
         """A public constant changes no mask."""
         shape = np.broadcast_shapes(x.shape, np.shape(raw))
         parts = tuple(_RING.broadcast(part, shape) for part in x.parts)
-        return Value(self, parts, shape, x.frac, x.bound, masked=x.masked)
+        return Value(self, parts, shape, x.frac, x.bound, masked=x.masked, mask_bits=x.mask_bits)
 
     def shared_value(
         self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
     ) -> Value:
         """The result of a gate: nothing that the dealer knows."""
         return Value(self, (), shape, frac, bound, is_bit=is_bit)
+
+    def masked_value(
+        self,
+        kind: str,
+        of: tuple[Value, ...],
+        shape: Shape,
+        frac: int,
+        bound: Bound,
+        make: Callable[[], FieldArray],
+        *,
+        mask_bits: int = 127,
+        count: tuple[str, int] | None = None,
+    ) -> Value:
+        """The mask is dealt as any other value, and kept: later gates multiply it."""
+        mask = np.broadcast_to(make(), (*shape, 2))
+        self.authenticated(shape, lambda: mask)
+        return Value(self, (mask,), shape, frac, bound, masked=True, mask_bits=mask_bits)
 
     def input_mask(self, source: Input) -> Value:
         """The owner's pad is the mask."""
@@ -109,15 +126,15 @@ class DealtJob(Recipe):
         return uniform_below(limit, shape)
 
     def comparison_key(
-        self, shape: Shape, bits: int, make: Callable[[], tuple[FieldArray, FieldArray]]
+        self, shape: Shape, bits: int, width: int, make: Callable[[], tuple[FieldArray, FieldArray]]
     ) -> None:
         """Both parties store the same correction words; the root seeds are pads."""
         thresholds, payload = make()
-        columns = [payload.reshape(-1, 2)]
+        columns = payload.reshape(-1, width, 2)
         if self._mac_key is not None:
-            columns.append(field.scale(columns[0], self._mac_key.alpha))
+            columns = np.concatenate([columns, field.scale(columns, self._mac_key.alpha)], axis=1)
         roots = [pad.pad_blocks((prod(shape),)) for pad in self._pads]
-        key = dcf.generate(roots[0], roots[1], thresholds.reshape(-1, 2), np.stack(columns, axis=1), bits)
+        key = dcf.generate(roots[0], roots[1], thresholds.reshape(-1, 2), columns, bits)
         for party in (0, 1):
             self._corrections[party].append(key)
 

@@ -15,8 +15,9 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 
+from protocols.cosine import cosine
 from protocols.distance import squared_distance
-from spdz import Engine, Value, dot
+from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, parallel, sqrt, truncate
 from spdz.fixed_point import MAX_NORM
 
 
@@ -51,15 +52,61 @@ class Score:
         return replace(self, max_norm=max_norm)
 
 
+async def rounded(z: Value) -> Value:
+    """A score in 24 fractional bits: what it is opened with."""
+    (result,) = await truncate(z, frac=24)
+    return result
+
+
+async def _l1_dist_bar(engine: Engine, x: Value, y: Value) -> Value:
+    x, y = await parallel(l1_normalised(x), l1_normalised(y))
+    return (await absolute(x - y)).sum()
+
+
+async def _l1_dist(engine: Engine, x: Value, y: Value) -> Value:
+    return (await absolute(x - y)).sum()
+
+
+async def _l2_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
+    x, y = await parallel(l2_normalised(x), l2_normalised(y))
+    return await sqrt(squared_distance(x, y))
+
+
+async def _l2_dist(engine: Engine, x: Value, y: Value) -> Value:
+    return await sqrt(squared_distance(x, y))
+
+
+async def _l2sq_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
+    x, y = await parallel(l2_normalised(x), l2_normalised(y))
+    return await rounded(squared_distance(x, y))
+
+
 async def _l2sq_dist(engine: Engine, x: Value, y: Value) -> Value:
     return squared_distance(x, y)
+
+
+async def _cossim_hat(engine: Engine, x: Value, y: Value) -> Value:
+    x, y = await parallel(l2_normalised(x), l2_normalised(y))
+    return await rounded(dot(x, y))
+
+
+async def _cossim(engine: Engine, x: Value, y: Value) -> Value:
+    return await rounded(await cosine(x, y))
 
 
 async def _dotprod(engine: Engine, x: Value, y: Value) -> Value:
     return dot(x, y)
 
 
+S1 = Score("S1", "L1_dist_bar", similarity=False, formula=_l1_dist_bar)
+S2 = Score("S2", "L1_dist", similarity=False, formula=_l1_dist)
+S3 = Score("S3", "L2_dist_hat", similarity=False, formula=_l2_dist_hat)
+S4 = Score("S4", "L2_dist", similarity=False, formula=_l2_dist)
+S5 = Score("S5", "L2sq_dist_hat", similarity=False, formula=_l2sq_dist_hat)
 S6 = Score("S6", "L2sq_dist", similarity=False, formula=_l2sq_dist)
+S7 = Score("S7", "cossim_hat", similarity=True, formula=_cossim_hat)
+S8 = Score("S8", "cossim_2sqrt", similarity=True, formula=_cossim)
+S9 = Score("S9", "cossim_1sqrt", similarity=True, formula=_cossim)
 S10 = Score("S10", "dotprod", similarity=True, formula=_dotprod)
 
-SCORES: dict[str, Score] = {score.name: score for score in (S6, S10)}
+SCORES: dict[str, Score] = {score.name: score for score in (S1, S2, S3, S4, S5, S6, S7, S8, S9, S10)}

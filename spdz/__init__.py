@@ -1,6 +1,7 @@
 """Two-party SPDZ in Python and NumPy: two robots learn whether two descriptors match, and nothing else."""
 
 from spdz.connect import open_session
+from spdz.coroutine import parallel
 from spdz.engine import Engine
 from spdz.errors import (
     ChannelClosed,
@@ -18,7 +19,29 @@ from spdz.errors import (
     TapeInUse,
     TapeMismatch,
 )
-from spdz.gates import beaver_dot, beaver_multiply, dot, multiply, nonnegative
+from spdz.functions import (
+    divide,
+    l1_normalised,
+    l2_normalised,
+    power,
+    reciprocal,
+    reciprocal_sqrt,
+    sqrt,
+)
+from spdz.gates import (
+    absolute,
+    beaver_dot,
+    beaver_multiply,
+    dot,
+    largest,
+    mask,
+    maximum,
+    multiply,
+    nonnegative,
+    round_exactly,
+    sign,
+    truncate,
+)
 from spdz.local import run_clear, run_local
 from spdz.meter import Plan, measure
 from spdz.program import Program
@@ -53,13 +76,28 @@ __all__ = [
     "TapeMismatch",
     "Value",
     "__version__",
+    "absolute",
     "beaver_dot",
     "beaver_multiply",
+    "divide",
     "dot",
+    "l1_normalised",
+    "l2_normalised",
+    "largest",
+    "mask",
+    "maximum",
     "measure",
     "multiply",
     "nonnegative",
     "open_session",
+    "parallel",
+    "power",
+    "reciprocal",
+    "reciprocal_sqrt",
+    "round_exactly",
     "run_clear",
     "run_local",
+    "sign",
+    "sqrt",
+    "truncate",
 ]

@@ -71,6 +71,11 @@ class Bound:
         """Of the elementwise products, in an array of this shape."""
         return Bound.of_entry(self.entry * other.entry, shape)
 
+    def larger(self, other: Bound, shape: Shape) -> Bound:
+        """Of the elementwise maximum, in an array of this shape."""
+        entry = max(self.entry, other.entry)
+        return Bound(entry, min(self.norm + other.norm, entry * root(_last(shape))))
+
 
 NOTHING = Bound(0, 0)
 """Of a mask, which stands for no honest number."""

@@ -80,6 +80,21 @@ class Recipe(Engine):
         """The result ``[[z]]`` of gate ``kind`` on operands ``of``."""
 
     @abstractmethod
+    def masked_value(
+        self,
+        kind: str,
+        of: tuple[Value, ...],
+        shape: Shape,
+        frac: int,
+        bound: Bound,
+        make: Callable[[], FieldArray],
+        *,
+        mask_bits: int = 127,
+        count: tuple[str, int] | None = None,
+    ) -> Value:
+        """Deal [[r]] for the mask ``r = make()`` of the result ``<z>`` of gate ``kind``; returns ``<z>``."""
+
+    @abstractmethod
     def input_mask(self, source: Input) -> Value:
         """Deal r to the owner and [[r]] to both; returns ``<x>``."""
 
@@ -110,11 +125,12 @@ class Recipe(Engine):
 
     @abstractmethod
     def comparison_key(
-        self, shape: Shape, bits: int, make: Callable[[], tuple[FieldArray, FieldArray]]
+        self, shape: Shape, bits: int, width: int, make: Callable[[], tuple[FieldArray, FieldArray]]
     ) -> None:
         """Deal DCF keys for ``make() = (thresholds below 2**bits, payload)`` (:mod:`spdz.dcf`).
 
-        The payload is given without MAC; the dealer appends alpha times it in malicious mode.
+        The payload has shape ``shape + (width,)`` and is given without MAC; the dealer appends alpha times
+        it in malicious mode.
         """
 
     @abstractmethod
@@ -157,8 +173,12 @@ class Evaluation(Engine):
         """Whether everything that was dealt for the job has been drawn."""
 
     @abstractmethod
-    def comparison_key(self, shape: Shape, bits: int) -> tuple[Block, Buffer]:
+    def comparison_key(self, shape: Shape, bits: int, width: int) -> tuple[Block, Buffer]:
         """Draw this party's DCF root seeds and the keys' correction words."""
+
+    @abstractmethod
+    def plus_public(self, x: Value, public: FieldArray) -> Value:
+        """Add public field elements of x's shape to a shared value."""
 
     @abstractmethod
     async def open(self, *values: Value) -> list[FieldArray]:

@@ -153,7 +153,7 @@ class Meter(Recipe):
         new = np.broadcast_shapes(x.shape, shape)
         recipe = symbol.recipe if new == x.shape else _digest("broadcast", symbol.recipe, new)
         part = Symbol(recipe, _digest("plus", symbol.text, new, digest))
-        return Value(self, (part,), new, x.frac, x.bound, masked=x.masked)
+        return Value(self, (part,), new, x.frac, x.bound, masked=x.masked, mask_bits=x.mask_bits)
 
     def shared_value(
         self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
@@ -161,6 +161,23 @@ class Meter(Recipe):
         """A new symbol made of the operands'."""
         symbol = self._note(kind, shape, frac, *(operand.parts[0] for operand in of))
         return Value(self, (symbol,), shape, frac, bound, is_bit=is_bit)
+
+    def masked_value(
+        self,
+        kind: str,
+        of: tuple[Value, ...],
+        shape: Shape,
+        frac: int,
+        bound: Bound,
+        make: Callable[[], FieldArray],
+        *,
+        mask_bits: int = 127,
+        count: tuple[str, int] | None = None,
+    ) -> Value:
+        """A new symbol, as for a shared value."""
+        self.authenticated(shape, make, of=of, count=count)
+        symbol = self._note(kind, shape, frac, *(operand.parts[0] for operand in of))
+        return Value(self, (symbol,), shape, frac, bound, masked=True, mask_bits=mask_bits)
 
     def input_mask(self, source: Input) -> Value:
         """N pad elements at the owner; with MACs N more at the peer and N stored at the owner."""
@@ -215,14 +232,14 @@ class Meter(Recipe):
         return np.zeros((0, 2), dtype=np.uint64)
 
     def comparison_key(
-        self, shape: Shape, bits: int, make: Callable[[], tuple[FieldArray, FieldArray]]
+        self, shape: Shape, bits: int, width: int, make: Callable[[], tuple[FieldArray, FieldArray]]
     ) -> None:
         """A root seed at either party, the same correction words at both."""
-        self._note("comparison key", shape, bits)
-        size = prod(shape)
+        self._note("comparison key", shape, bits, width)
+        size, payloads = prod(shape), 2 * width if self.malicious else width
         for party in (0, 1):
             self._draw(party, pad=size)
-            self.correction_bytes[party] += dcf.key_bytes(size, bits, 2 if self.malicious else 1)
+            self.correction_bytes[party] += dcf.key_bytes(size, bits, payloads)
 
     async def round(self, sent: tuple[int, int]) -> None:
         """Count one round."""

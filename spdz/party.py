@@ -120,7 +120,7 @@ class Party(Evaluation):
             return x
         eps, *shares = x.parts
         share = Value(self, tuple(shares), x.shape, x.frac, x.bound, is_bit=x.is_bit)
-        return self._plus_field(share, eps)
+        return self.plus_public(share, eps)
 
     def plus(self, x: Value, raw: int | IntArray) -> Value:
         """Add public integers: to eps of a masked value, else to party 0's share and to the MAC."""
@@ -128,12 +128,14 @@ class Party(Evaluation):
         shape = np.broadcast_shapes(x.shape, number.shape[:-1])
         if shape != x.shape:
             parts = tuple(p if p is None else _RING.broadcast(p, shape) for p in x.parts)
-            x = Value(self, parts, shape, x.frac, x.bound, masked=x.masked)
+            x = Value(self, parts, shape, x.frac, x.bound, masked=x.masked, mask_bits=x.mask_bits)
         if not x.masked:
-            return self._plus_field(x, number)
-        return Value(self, (field.add(x.parts[0], number), *x.parts[1:]), shape, x.frac, x.bound, masked=True)
+            return self.plus_public(x, number)
+        parts = (field.add(x.parts[0], number), *x.parts[1:])
+        return Value(self, parts, shape, x.frac, x.bound, masked=True, mask_bits=x.mask_bits)
 
-    def _plus_field(self, x: Value, public: FieldArray) -> Value:
+    def plus_public(self, x: Value, public: FieldArray) -> Value:
+        """Party 0 adds to its share; both to the MAC."""
         value, *macs = x.parts
         if self.index == 0:
             value = public if value is None else field.add(value, public)
@@ -169,11 +171,11 @@ class Party(Evaluation):
         """Whether the job is used up."""
         return self._stream.exhausted
 
-    def comparison_key(self, shape: Shape, bits: int) -> tuple[Block, Buffer]:
+    def comparison_key(self, shape: Shape, bits: int, width: int) -> tuple[Block, Buffer]:
         """Root seeds from the pad, correction words from the record."""
-        size = prod(shape)
+        size, payloads = prod(shape), 2 * width if self.malicious else width
         roots = self._stream.pad_blocks((size,))
-        return roots, self._stream.correction_bytes(dcf.key_bytes(size, bits, 2 if self.malicious else 1))
+        return roots, self._stream.correction_bytes(dcf.key_bytes(size, bits, payloads))
 
     def _mac(self, shape: Shape, *, stored: bool) -> FieldArray | None:
         if not self.malicious:

@@ -111,7 +111,7 @@ class StockedParty(Party):
         """A stock need not be used up."""
         return True
 
-    def comparison_key(self, shape: Shape, bits: int) -> tuple[Block, Buffer]:
+    def comparison_key(self, shape: Shape, bits: int, width: int) -> tuple[Block, Buffer]:
         """As :meth:`authenticated`."""
         raise TapeMismatch("a stock holds no comparison keys: deal for this program")
 

@@ -47,9 +47,10 @@ class Value:
         masked: True for ``<x>``, False for ``[[z]]``.
         is_bit: True if the entries are 0 or 1.
         plain: The owner's own raw input, where this value is one (int64); else None.
+        mask_bits: Bits of the mask's randomness (127 for a fresh one; truncation takes some away).
     """
 
-    __slots__ = ("bound", "engine", "frac", "is_bit", "masked", "parts", "plain", "shape")
+    __slots__ = ("bound", "engine", "frac", "is_bit", "mask_bits", "masked", "parts", "plain", "shape")
     __array_priority__ = 1000  # NumPy leaves `array + value` to us
     __array_ufunc__ = None
 
@@ -64,6 +65,7 @@ class Value:
         masked: bool = False,
         is_bit: bool = False,
         plain: IntArray | None = None,
+        mask_bits: int = 127,
     ) -> None:
         if bound.entry > P // 2:
             raise ValueError(
@@ -72,7 +74,7 @@ class Value:
             )
         self.engine, self.parts, self.shape = engine, parts, shape
         self.frac, self.bound = frac, bound
-        self.masked, self.is_bit, self.plain = masked, is_bit, plain
+        self.masked, self.is_bit, self.plain, self.mask_bits = masked, is_bit, plain, mask_bits
 
     def __repr__(self) -> str:
         kind = "masked" if self.masked else "shared"
@@ -139,7 +141,15 @@ class Value:
         result = self.engine.plus(self, raw)
         constant = Bound.of_entry(_largest(raw), result.shape)
         bound = self.bound.broadcast(self.shape, result.shape) + constant
-        return Value(self.engine, result.parts, result.shape, self.frac, bound, masked=self.masked)
+        return Value(
+            self.engine,
+            result.parts,
+            result.shape,
+            self.frac,
+            bound,
+            masked=self.masked,
+            mask_bits=self.mask_bits,
+        )
 
     def sum(self, axis: int = -1) -> Value:
         """Sum over one axis."""
@@ -174,7 +184,9 @@ class Value:
 
     def _map(self, linear: Callable[[Any], Any], shape: Shape, bound: Bound) -> Value:
         parts = tuple(p if p is None else linear(p) for p in self.parts)
-        return Value(self.engine, parts, shape, self.frac, bound, masked=self.masked)
+        return Value(
+            self.engine, parts, shape, self.frac, bound, masked=self.masked, mask_bits=self.mask_bits
+        )
 
     def _combine(self, other: Value, both: Callable[[Any, Any], Any], alone: Callable[[Any], Any]) -> Value:
         """Add or subtract; ``alone`` is what becomes of the second operand when the first is zero."""
@@ -192,7 +204,8 @@ class Value:
             else:
                 parts.append(both(p, q))
         bound = x.bound.broadcast(x.shape, shape) + y.bound.broadcast(y.shape, shape)
-        return Value(x.engine, tuple(parts), shape, x.frac, bound, masked=x.masked)
+        bits = min(x.mask_bits, y.mask_bits)
+        return Value(x.engine, tuple(parts), shape, x.frac, bound, masked=x.masked, mask_bits=bits)
 
 
 def _same_scale(x: Value, y: Value) -> tuple[Value, Value]:

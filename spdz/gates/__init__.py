@@ -5,7 +5,23 @@ protocols call. Nothing here knows who else is running: a new gate needs no chan
 """
 
 from spdz.gates.beaver import beaver_dot, beaver_multiply
-from spdz.gates.comparison import nonnegative
-from spdz.gates.product import dot, multiply
+from spdz.gates.comparison import absolute, largest, maximum, nonnegative, sign
+from spdz.gates.masking import mask
+from spdz.gates.monomial import multiply
+from spdz.gates.product import dot
+from spdz.gates.truncation import round_exactly, truncate
 
-__all__ = ["beaver_dot", "beaver_multiply", "dot", "multiply", "nonnegative"]
+__all__ = [
+    "absolute",
+    "beaver_dot",
+    "beaver_multiply",
+    "dot",
+    "largest",
+    "mask",
+    "maximum",
+    "multiply",
+    "nonnegative",
+    "round_exactly",
+    "sign",
+    "truncate",
+]

@@ -169,9 +169,3 @@ def dot(x: Value, y: Value) -> Value:
     """
     result: Value = x.engine.read(Product(DOT), x, y)
     return result
-
-
-def multiply(x: Value, y: Value) -> Value:
-    """Elementwise product of two masked values, exact, with the fractional bits of both added up."""
-    result: Value = x.engine.read(Product(ELEMENTWISE), x, y)
-    return result

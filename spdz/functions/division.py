@@ -1,0 +1,48 @@
+"""Reciprocal and division."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from spdz.coroutine import parallel
+from spdz.functions.power import power
+from spdz.functions.roots import RESULT_BITS
+from spdz.gates.masking import mask
+from spdz.gates.monomial import multiply
+from spdz.gates.truncation import truncate
+from spdz.value import Value
+
+
+async def reciprocal(u: Value, *, positive: bool = False) -> Value:
+    """``1 / u``, elementwise; three rounds, relative error below 2^-16.
+
+    Args:
+        u: Value of any shape. For u = 0 the result is 0.
+        positive: Whether u is never negative: half the work; a negative u then counts as 0.
+
+    Returns:
+        A shared value: the reciprocal as a floating-point number of 22 bits, written out.
+    """
+    result = await power(u, Fraction(-1), signed=not positive)
+    (mantissa,) = await truncate(result.mantissa, frac=RESULT_BITS)
+    return multiply(mantissa, result.scale)
+
+
+async def divide(x: Value, y: Value, *, largest: float, frac: int = 24, positive: bool = False) -> Value:
+    """``x / y``, elementwise with broadcasting; four rounds, error below 2^-16 of the result or 2^-frac.
+
+    Args:
+        x: Dividend.
+        y: Divisor. Where it is 0 the result is 0.
+        largest: A public bound on ``|x / y|``: a quotient beyond it is wrong.
+        frac: Fractional bits of the result.
+        positive: Whether y is never negative: half the work; a negative y then counts as 0.
+
+    Returns:
+        A masked value.
+    """
+    inverse, (x,) = await parallel(power(y, Fraction(-1), signed=not positive), mask(x))
+    quotient = multiply(x, inverse.scale, entry=1.25 * largest)
+    mantissa, quotient = await truncate(inverse.mantissa, quotient, frac=RESULT_BITS + 2)
+    (result,) = await truncate(multiply(mantissa, quotient, entry=1.01 * largest), frac=frac)
+    return result
