@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 from protocols.cosine import cosine
 from protocols.distance import squared_distance
-from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, parallel, sqrt, truncate
+from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, sqrt, truncate
 from spdz.fixed_point import MAX_NORM
 
 
@@ -59,7 +59,7 @@ async def rounded(z: Value) -> Value:
 
 
 async def _l1_dist_bar(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await parallel(l1_normalised(x), l1_normalised(y))
+    x, y = await l1_normalised(x, y)
     return (await absolute(x - y)).sum()
 
 
@@ -68,7 +68,7 @@ async def _l1_dist(engine: Engine, x: Value, y: Value) -> Value:
 
 
 async def _l2_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await parallel(l2_normalised(x), l2_normalised(y))
+    x, y = await l2_normalised(x, y)
     return await sqrt(squared_distance(x, y))
 
 
@@ -77,7 +77,7 @@ async def _l2_dist(engine: Engine, x: Value, y: Value) -> Value:
 
 
 async def _l2sq_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await parallel(l2_normalised(x), l2_normalised(y))
+    x, y = await l2_normalised(x, y)
     return await rounded(squared_distance(x, y))
 
 
@@ -86,7 +86,7 @@ async def _l2sq_dist(engine: Engine, x: Value, y: Value) -> Value:
 
 
 async def _cossim_hat(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await parallel(l2_normalised(x), l2_normalised(y))
+    x, y = await l2_normalised(x, y)
     return await rounded(dot(x, y))
 
 

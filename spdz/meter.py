@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -117,6 +117,10 @@ class SymbolRing:
     def broadcast(self, a: Symbol, shape: Shape) -> Symbol:
         """A larger shape."""
         return _symbol("broadcast", a, shape)
+
+    def concatenate(self, parts: Sequence[Symbol], lengths: Sequence[int]) -> Symbol:
+        """End to end."""
+        return _symbol("concatenate", *parts, *lengths)
 
 
 class Meter(Recipe):

@@ -6,6 +6,7 @@ part *is* differs: field elements for a party and for the dealer, exact integers
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -40,6 +41,9 @@ class Ring(Protocol):
 
     def broadcast(self, a: Any, shape: Shape) -> Any:
         """A view in a larger shape."""
+
+    def concatenate(self, parts: Sequence[Any], lengths: Sequence[int]) -> Any:
+        """One axis after the other, for parts of one axis; a part that is None counts as zeros."""
 
 
 class FieldRing:
@@ -79,6 +83,11 @@ class FieldRing:
     def broadcast(self, a: FieldArray, shape: Shape) -> FieldArray:
         """A view in a larger shape."""
         return np.broadcast_to(a, (*shape, 2))
+
+    def concatenate(self, parts: Sequence[FieldArray | None], lengths: Sequence[int]) -> FieldArray:
+        """End to end."""
+        pairs = zip(parts, lengths, strict=True)
+        return np.concatenate([field.zeros(length) if part is None else part for part, length in pairs])
 
 
 def _exact(a: BigIntArray) -> BigIntArray:
@@ -122,3 +131,7 @@ class IntegerRing:
     def broadcast(self, a: BigIntArray, shape: Shape) -> BigIntArray:
         """A view in a larger shape."""
         return np.broadcast_to(a, shape)
+
+    def concatenate(self, parts: Sequence[BigIntArray], lengths: Sequence[int]) -> BigIntArray:
+        """End to end."""
+        return np.concatenate(parts)

@@ -151,6 +151,16 @@ class Value:
             mask_bits=self.mask_bits,
         )
 
+    def rescaled(self, frac: int) -> Value:
+        """The same number with more fractional bits, exactly."""
+        if frac == self.frac:
+            return self
+        if frac < self.frac:
+            raise ValueError("to drop fractional bits, truncate")
+        finer = self * (1 << (frac - self.frac))
+        finer.frac = frac
+        return finer
+
     def sum(self, axis: int = -1) -> Value:
         """Sum over one axis."""
         axis = range(self.ndim)[axis]
@@ -192,7 +202,8 @@ class Value:
         """Add or subtract; ``alone`` is what becomes of the second operand when the first is zero."""
         if other.engine is not self.engine:
             raise ValueError("the two values belong to different runs")
-        x, y = _same_scale(self, other)
+        frac = max(self.frac, other.frac)
+        x, y = self.rescaled(frac), other.rescaled(frac)
         if x.masked != y.masked:
             x, y = x.engine.shared(x), y.engine.shared(y)
         shape = np.broadcast_shapes(x.shape, y.shape)
@@ -208,16 +219,30 @@ class Value:
         return Value(x.engine, tuple(parts), shape, x.frac, bound, masked=x.masked, mask_bits=bits)
 
 
-def _same_scale(x: Value, y: Value) -> tuple[Value, Value]:
-    """Give two values the same number of fractional bits, exactly, by scaling the coarser one."""
-    if x.frac < y.frac:
-        finer = x * (1 << (y.frac - x.frac))
-        finer.frac = y.frac
-        return finer, y
-    if y.frac < x.frac:
-        coarse, fine = _same_scale(y, x)
-        return fine, coarse
-    return x, y
+def concatenate(*values: Value) -> Value:
+    """Values of one axis end to end, all masked or all shared (else they become shared)."""
+    if any(value.ndim != 1 for value in values):
+        raise ValueError("only values of one axis are concatenated: reshape them first")
+    engine = values[0].engine
+    if len({value.masked for value in values}) > 1:
+        values = tuple(engine.shared(value) for value in values)
+    frac = max(value.frac for value in values)
+    values = tuple(value.rescaled(frac) for value in values)
+    lengths = [value.shape[0] for value in values]
+    parts = tuple(
+        None if all(part is None for part in column) else engine.ring.concatenate(column, lengths)
+        for column in zip(*(value.parts for value in values), strict=True)
+    )
+    bound = Bound(max(v.bound.entry for v in values), sum(v.bound.norm for v in values))
+    return Value(
+        engine,
+        parts,
+        (sum(lengths),),
+        frac,
+        bound,
+        masked=values[0].masked,
+        mask_bits=min(value.mask_bits for value in values),
+    )
 
 
 def _largest(raw: int | IntArray) -> int:

@@ -23,7 +23,7 @@ async def reciprocal(u: Value, *, positive: bool = False) -> Value:
     Returns:
         A shared value: the reciprocal as a floating-point number of 22 bits, written out.
     """
-    result = await power(u, Fraction(-1), signed=not positive)
+    (result,) = await power(u, alpha=Fraction(-1), signed=not positive)
     (mantissa,) = await truncate(result.mantissa, frac=RESULT_BITS)
     return multiply(mantissa, result.scale)
 
@@ -41,7 +41,7 @@ async def divide(x: Value, y: Value, *, largest: float, frac: int = 24, positive
     Returns:
         A masked value.
     """
-    inverse, (x,) = await parallel(power(y, Fraction(-1), signed=not positive), mask(x))
+    (inverse,), (x,) = await parallel(power(y, alpha=Fraction(-1), signed=not positive), mask(x))
     quotient = multiply(x, inverse.scale, entry=1.25 * largest)
     mantissa, quotient = await truncate(inverse.mantissa, quotient, frac=RESULT_BITS + 2)
     (result,) = await truncate(multiply(mantissa, quotient, entry=1.01 * largest), frac=frac)

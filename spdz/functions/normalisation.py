@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 from spdz.functions.power import Power, power
@@ -16,26 +17,29 @@ NORMALISED_BITS = 24
 """Fractional bits of a normalised vector's coordinates."""
 
 
-async def l2_normalised(x: Value) -> Value:
-    """``x / sqrt(x . x)`` along the last axis.
+async def l2_normalised(*vectors: Value) -> list[Value]:
+    """``x / sqrt(x . x)`` along the last axis, for any number of values at once.
 
     Args:
-        x: Masked value of shape S + (N,).
+        vectors: Masked values of shape S + (N,).
 
     Returns:
-        A masked value of the same shape with 24 fractional bits; its norm is 1 within 2^-17 and the rounding
-        of its coordinates.
+        Masked values of the same shapes with 24 fractional bits; each norm is 1 within 2^-17 and the
+        rounding of the coordinates.
     """
-    return await _scaled(x, await power(dot(x, x), Fraction(-1, 2)))
+    return await _scaled(vectors, await power(*(dot(x, x) for x in vectors), alpha=Fraction(-1, 2)))
 
 
-async def l1_normalised(x: Value) -> Value:
+async def l1_normalised(*vectors: Value) -> list[Value]:
     """``x / sum |x|`` along the last axis; as :func:`l2_normalised`, within 2^-16."""
-    return await _scaled(x, await power((await absolute(x)).sum(), Fraction(-1)))
+    norms = [(await absolute(x)).sum() for x in vectors]
+    return await _scaled(vectors, await power(*norms, alpha=Fraction(-1)))
 
 
-async def _scaled(x: Value, inverse: Power) -> Value:
-    (mantissa,) = await truncate(inverse.mantissa, frac=RESULT_BITS)
-    product = multiply(x, inverse.scale[..., None], mantissa[..., None], norm=1.001)
-    (result,) = await truncate(product, frac=NORMALISED_BITS)
-    return result
+async def _scaled(vectors: Sequence[Value], inverses: Sequence[Power]) -> list[Value]:
+    mantissas = await truncate(*(inverse.mantissa for inverse in inverses), frac=RESULT_BITS)
+    products = [
+        multiply(x, inverse.scale[..., None], mantissa[..., None], norm=1.001)
+        for x, inverse, mantissa in zip(vectors, inverses, mantissas, strict=True)
+    ]
+    return await truncate(*products, frac=NORMALISED_BITS)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil
+from math import ceil, prod
 
 import gmpy2
 import numpy as np
@@ -33,10 +33,11 @@ import numpy as np
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.functions.segments import DEGREE, MANTISSA_BITS, Segment, Table, table
 from spdz.gates.masking import mask
-from spdz.gates.piecewise import Function, piecewise
+from spdz.gates.pieces import Function, Pieces
+from spdz.gates.piecewise import piecewise
 from spdz.gates.polynomial import polynomial
 from spdz.gates.truncation import truncate
-from spdz.value import Value
+from spdz.value import Value, concatenate
 
 T_BITS = 18
 """Fractional bits of t: an error of one unit moves the result by at most 2^-18 of itself."""
@@ -59,16 +60,6 @@ class Power:
 
 
 @dataclass(frozen=True, slots=True)
-class _Functions:
-    """What step 1 evaluates, and the polynomial of step 2."""
-
-    thresholds: tuple[int, ...]
-    functions: tuple[Function, Function, Function]
-    coefficients: tuple[int, ...]
-    length: int
-
-
-@dataclass(frozen=True, slots=True)
 class _Power(Gate):
     """Operand: u, masked or shared. Both secure readings run the same text; the clear one is exact."""
 
@@ -84,18 +75,18 @@ class _Power(Gate):
         return await self._compose(u)
 
     async def _compose(self, u: Value) -> Power:
-        tables = _functions(self.alpha, u.bound.entry, u.frac, self.signed)
+        pieces, coefficients = _tables(self.alpha, u.bound.entry, u.frac, self.signed)
         (u,) = await mask(u)
-        deviation, mantissa, scale = piecewise(u, tables.thresholds, *tables.functions)
+        deviation, mantissa, scale = piecewise(u, pieces)
         deviation, mantissa, scale = await mask(deviation, mantissa, scale)
         (t,) = await truncate(deviation, frac=T_BITS)
         largest = 9 << (MANTISSA_BITS + FINE_BITS - 2)
-        return Power(polynomial(mantissa, t, tables.coefficients, FINE_BITS, largest), scale)
+        return Power(polynomial(mantissa, t, coefficients, FINE_BITS, largest), scale)
 
     async def clear(self, engine: ClearText, u: Value) -> Power:
         """The scale of the segment, and the mantissa that makes the product right."""
-        tables = _functions(self.alpha, u.bound.entry, u.frac, self.signed)
-        _, mantissa, scale = piecewise(u, tables.thresholds, *tables.functions)
+        pieces, _ = _tables(self.alpha, u.bound.entry, u.frac, self.signed)
+        _, mantissa, scale = piecewise(u, pieces)
         bits = MANTISSA_BITS + FINE_BITS
         raw = [int(one) for one in np.asarray(u.parts[0]).flat]
         scales = [int(one) for one in np.asarray(scale.parts[0]).flat]
@@ -115,36 +106,31 @@ def _mantissa(alpha: Fraction, u: int, frac: int, scale: int, scale_frac: int) -
 
 
 @lru_cache(maxsize=64)
-def _functions(alpha: Fraction, largest: int, frac: int, signed: bool) -> _Functions:
-    """Turn a table into piecewise linear functions of the raw integer u with so many fractional bits."""
+def _tables(alpha: Fraction, largest: int, frac: int, signed: bool) -> tuple[Pieces, tuple[int, ...]]:
+    """The functions of step 1 on a raw integer u with so many fractional bits, and p of step 2."""
     known = table(alpha, max(largest, 1))
     low, high = known.exponents
     scale_frac = int(alpha * frac) - low
     up = max(-scale_frac, 0)
-    pieces = _pieces(known, up - low, signed)
-    thresholds = tuple(start for start, *_ in pieces[1:])
-    columns = list(zip(*(row[1:] for row in pieces), strict=True))
-
-    def jumps(column: tuple[int, ...]) -> tuple[int, ...]:
-        return tuple(b - a for a, b in pairwise(column))
-
-    constants, slopes, mantissas, scales = columns
-    nothing = (0,) * len(thresholds)
+    starts, constants, slopes, mantissas, scales = zip(*_pieces(known, up - low, signed), strict=True)
+    flat = (0,) * len(starts)
     length = known.length
-    deviation = Function(
-        constants[0],
-        slopes[0],
-        jumps(constants),
-        jumps(slopes),
-        length,
-        ceil(known.deviation * (1 << length)),
+    largest_deviation = ceil(known.deviation * (1 << length))
+    pieces = Pieces(
+        starts[1:],
+        Function(_jumps(constants), _jumps(slopes), length, largest_deviation),
+        Function(_jumps(mantissas), flat, MANTISSA_BITS, 2 << MANTISSA_BITS),
+        Function(_jumps(scales), flat, scale_frac + up, 1 << (high - low + up)),
     )
-    mantissa = Function(mantissas[0], 0, jumps(mantissas), nothing, MANTISSA_BITS, 2 << MANTISSA_BITS)
-    scale = Function(scales[0], 0, jumps(scales), nothing, scale_frac + up, 1 << (high - low + up))
     coefficients = tuple(
         round(known.coefficients[k] * (1 << FINE_BITS) / (1 << (T_BITS * k))) for k in range(DEGREE + 1)
     )
-    return _Functions(thresholds, (deviation, mantissa, scale), coefficients, length)
+    return pieces, coefficients
+
+
+def _jumps(column: tuple[int, ...]) -> tuple[int, ...]:
+    """The first entry, and the differences."""
+    return column[0], *(b - a for a, b in pairwise(column))
 
 
 def _pieces(known: Table, shift: int, signed: bool) -> list[tuple[int, int, int, int, int]]:
@@ -162,20 +148,26 @@ def _pieces(known: Table, shift: int, signed: bool) -> list[tuple[int, int, int,
     return [*downward, (0, 0, 0, 0, 0), *upward]
 
 
-async def power(u: Value, alpha: Fraction, *, signed: bool = False) -> Power:
-    """u^alpha, elementwise, as mantissa times scale; two rounds.
+async def power(*values: Value, alpha: Fraction, signed: bool = False) -> list[Power]:
+    """u^alpha, elementwise, as mantissa times scale; two rounds for all values.
 
     Args:
-        u: Value of any shape. A tighter bound makes the keys and the tables smaller.
+        values: Values u of any shapes. A tighter bound makes keys and tables smaller.
         alpha: 1/2, -1/2 or -1.
         signed: Whether negative u count (for alpha = -1); else the result is 0 for them.
 
     Returns:
-        Mantissa and scale; both 0 where u is 0.
+        Mantissa and scale of each; both 0 where u is 0.
     """
-    if (alpha * u.frac).denominator != 1:
-        odd = u.frac + 1
-        u = u * 2
-        u.frac = odd
-    result: Power = await u.engine.read(_Power(alpha, signed), u)
-    return result
+    flat = concatenate(*(u.reshape(-1) for u in values)) if len(values) > 1 else values[0]
+    if (alpha * flat.frac).denominator != 1:
+        flat = flat.rescaled(flat.frac + 1)
+    powers: Power = await flat.engine.read(_Power(alpha, signed), flat)
+    if len(values) == 1:
+        return [powers]
+    results, start = [], 0
+    for u in values:
+        piece = slice(start, start + prod(u.shape))
+        start = piece.stop
+        results.append(Power(powers.mantissa[piece].reshape(*u.shape), powers.scale[piece].reshape(*u.shape)))
+    return results

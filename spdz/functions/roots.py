@@ -22,12 +22,12 @@ async def sqrt(u: Value) -> Value:
     Returns:
         A shared value: the root as a floating-point number of 22 bits, written out.
     """
-    return await _value(await power(u, Fraction(1, 2)))
+    return await _value(*await power(u, alpha=Fraction(1, 2)))
 
 
 async def reciprocal_sqrt(u: Value) -> Value:
     """``1 / sqrt(u)``, elementwise; three rounds, relative error below 2^-17. For u <= 0 the result is 0."""
-    return await _value(await power(u, Fraction(-1, 2)))
+    return await _value(*await power(u, alpha=Fraction(-1, 2)))
 
 
 async def _value(root: Power) -> Value:

@@ -8,12 +8,25 @@ of them cheaper.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from spdz.gates.masking import mask
-from spdz.gates.piecewise import Function, piecewise
+from spdz.gates.pieces import Function, Pieces
+from spdz.gates.piecewise import piecewise
 from spdz.value import Value
 
-_AT_LEAST_0 = Function(0, 0, (1,), (0,), 0, 1, is_bit=True)
-_SIGN = Function(-1, 0, (1, 1), (0, 0), 0, 1)
+_AT_LEAST_0 = Pieces([0], Function((0, 1), (0, 0), 0, 1, is_bit=True))
+_SIGN = Pieces([0, 1], Function((-1, 1, 1), (0, 0, 0), 0, 1))
+
+
+@lru_cache(maxsize=64)
+def _absolute(frac: int, entry: int) -> Pieces:
+    return Pieces([0], Function((0, 0), (-1, 2), frac, entry))
+
+
+@lru_cache(maxsize=64)
+def _positive_part(frac: int, entry: int) -> Pieces:
+    return Pieces([0], Function((0, 0), (0, 1), frac, entry))
 
 
 async def nonnegative(z: Value, bound: int | None = None) -> Value:
@@ -28,21 +41,21 @@ async def nonnegative(z: Value, bound: int | None = None) -> Value:
         Shared bits of z's shape.
     """
     (z,) = await mask(z)
-    (bit,) = piecewise(z, (0,), _AT_LEAST_0, bound=bound)
+    (bit,) = piecewise(z, _AT_LEAST_0, bound=bound)
     return bit
 
 
 async def sign(z: Value) -> Value:
     """-1, 0 or 1 for every entry: a shared integer of z's shape."""
     (z,) = await mask(z)
-    (result,) = piecewise(z, (0, 1), _SIGN)
+    (result,) = piecewise(z, _SIGN)
     return result
 
 
 async def absolute(z: Value) -> Value:
     """|z| for every entry, exact: shared, of z's shape."""
     (z,) = await mask(z)
-    (result,) = piecewise(z, (0,), Function(0, -1, (0,), (2,), z.frac, z.bound.entry))
+    (result,) = piecewise(z, _absolute(z.frac, z.bound.entry))
     result.bound = z.bound
     return result
 
@@ -50,9 +63,7 @@ async def absolute(z: Value) -> Value:
 async def maximum(x: Value, y: Value) -> Value:
     """The larger of x and y, elementwise with broadcasting, exact: y + max(x - y, 0)."""
     (difference,) = await mask(x - y)
-    (excess,) = piecewise(
-        difference, (0,), Function(0, 0, (0,), (1,), difference.frac, difference.bound.entry)
-    )
+    (excess,) = piecewise(difference, _positive_part(difference.frac, difference.bound.entry))
     result = y.engine.shared(y) + excess
     result.bound = x.bound.larger(y.bound, result.shape)
     return result

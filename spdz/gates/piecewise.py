@@ -20,70 +20,34 @@ peer can cause) the result is some function of z.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from math import prod
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spdz import dcf, field, inner_product
-from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
-from spdz.field import P
 from spdz.gates.masking import integer_mask, local_bits
+from spdz.gates.pieces import HALF, Pieces
 from spdz.gates.truncation import low_bits
-from spdz.types import FieldArray, Shape
+from spdz.types import FieldArray
 from spdz.value import Value
-
-HALF = (P + 1) // 2
-"""The inverse of 2 in F_p."""
 
 KIND = "comparison"
 
 
 @dataclass(frozen=True, slots=True)
-class Function:
-    """One piecewise linear function, in raw integers.
-
-    Attributes:
-        constant: a_0.
-        slope: b_0.
-        constants: a_1 .. a_k, the jumps of the constant.
-        slopes: b_1 .. b_k, the jumps of the slope.
-        frac: Fractional bits of the result.
-        entry: Largest magnitude of an honest result.
-        is_bit: Whether it is 0 or 1.
-    """
-
-    constant: int
-    slope: int
-    constants: tuple[int, ...]
-    slopes: tuple[int, ...]
-    frac: int
-    entry: int
-    is_bit: bool = False
-
-
-@dataclass(frozen=True)
 class Piecewise(Gate):
     """Operand: one masked value. The result is one value a function."""
 
-    thresholds: tuple[int, ...]
-    functions: tuple[Function, ...]
+    pieces: Pieces
     bound: int
     """What z - T_i never exceeds."""
 
-    @property
-    def _width(self) -> int:
-        """Payload elements: with r if any slope jumps."""
-        return 2 if any(any(f.slopes) for f in self.functions) else 1
-
     def deal(self, recipe: Recipe, z: Value) -> list[Value]:
         """Deal sigma/2 (and sigma r/2) and the key."""
-        bits, shape, width = local_bits(z, self.bound), z.shape, self._width
+        bits, shape, width = local_bits(z, self.bound), z.shape, self.pieces.width
 
         def signs() -> FieldArray:
             """Sigma, sigma r: shape S + (width, 2)."""
@@ -98,104 +62,69 @@ class Piecewise(Gate):
         recipe.comparison_key(
             shape, bits - 1, width, lambda: (low_bits(integer_mask(z.parts[0], bits), bits - 1), signs())
         )
+        kind = f"{KIND} of {bits} bits {self.pieces}"
         return [
-            recipe.shared_value(
-                f"{KIND} of {bits} bits {self.thresholds} {f}", (z,), shape, *_form(f, shape), is_bit=f.is_bit
-            )
-            for f in self.functions
+            recipe.shared_value(f"{kind} {i}", (z,), shape, *f.form(shape), is_bit=f.is_bit)
+            for i, f in enumerate(self.pieces.functions)
         ]
 
     def evaluate(self, party: Evaluation, z: Value) -> list[Value]:
         """Steps 1 to 3."""
-        bits, shape, width = local_bits(z, self.bound), z.shape, self._width
+        pieces, bits, shape = self.pieces, local_bits(z, self.bound), z.shape
+        width = pieces.width
         half = party.authenticated((*shape, width), count=(KIND, prod(shape)))
         roots, key = party.comparison_key(shape, bits - 1, width)
-        eps, parts = z.parts[0], len(z.parts) - 1
-        n, k = prod(shape), len(self.thresholds)
-        points = _minus(eps.reshape(n, 1, 2), _words(self.thresholds))
-        outputs = dcf.evaluate(party.index, roots, key, low_bits(points, bits - 1), bits - 1, parts * width)
-        halves = np.stack([h for h in half[:parts] if h is not None], axis=-3).reshape(n, 1, parts * width, 2)
+        eps, shares = z.parts[0], len(z.parts) - 1
+        n, columns = prod(shape), shares * width
+        points = _minus(eps.reshape(n, 1, 2), pieces.words)
+        outputs = dcf.evaluate(party.index, roots, key, low_bits(points, bits - 1), bits - 1, columns)
+        halves = np.concatenate([h.reshape(n, 1, width, 2) for h in half if h is not None], axis=2)
         signed = _signed(_top_bit(points, bits)[..., None], field.sub(outputs, halves))
-        del outputs
-        sums = _Sums(signed.reshape(n, k, parts, width, 2), shape)
-        return [self._value(party, z, f, sums) for f in self.functions]
+        sums = _weighted(pieces, signed).reshape((-1, shares, width, *shape, 2))
+        return [self._value(party, z, i, sums) for i in range(len(pieces.functions))]
 
-    def _value(self, party: Evaluation, z: Value, f: Function, sums: _Sums) -> Value:
+    def _value(self, party: Evaluation, z: Value, i: int, sums: FieldArray) -> Value:
         """Step 3 for one function."""
-        eps = z.parts[0]
-        jumps, slopes = any(f.constants), any(f.slopes)
-        # A jump counts half in public: [z >= T] = 1/2 + ..
-        constant = f.constant + sum(f.constants) * HALF
-        slope = (f.slope + sum(f.slopes) * HALF) % P
-        shares: list[FieldArray] = []
+        f, (jump, slope_jump), (constant, slope) = (
+            self.pieces.functions[i],
+            self.pieces.rows[i],
+            self.pieces.public[i],
+        )
+        eps, totals = z.parts[0], []
         for j, r in enumerate(z.parts[1:]):
-            terms = []
-            if slope and r is not None:
-                terms.append(field.scale(r, slope))
-            if jumps:
-                terms.append(sums.of(f.constants, j, 0))
-            if slopes:
-                terms.append(field.mul(eps, sums.of(f.slopes, j, 0)))
-                terms.append(sums.of(f.slopes, j, 1))
+            terms = [] if r is None or not slope else [field.scale(r, slope)]
+            if jump is not None:
+                terms.append(sums[jump, j, 0])
+            if slope_jump is not None:
+                terms += [field.mul(eps, sums[slope_jump, j, 0]), sums[slope_jump, j, 1]]
             total = terms[0] if terms else field.zeros(z.shape)
             for term in terms[1:]:
                 total = field.add(total, term)
-            shares.append(total)
-        frac, bound = _form(f, z.shape)
-        result = Value(party, tuple(shares), z.shape, frac, bound, is_bit=f.is_bit)
-        if not constant and not slope:
-            return result
-        public = np.broadcast_to(field.from_int(constant), eps.shape)
-        return party.plus_public(result, field.add(public, field.scale(eps, slope)) if slope else public)
+            totals.append(total)
+        result = Value(party, tuple(totals), z.shape, *f.form(z.shape), is_bit=f.is_bit)
+        if slope:
+            result = party.plus_public(result, field.scale(eps, slope))
+        return party.plus_public(result, field.from_int(constant)) if constant else result
 
     def clear(self, engine: ClearText, z: Value) -> list[Value]:
         """Look up the piece."""
-        raw = np.asarray(z.parts[0])
-        piece = np.searchsorted(np.array(self.thresholds, dtype=object), raw.astype(object), side="right")
-        results = []
-        for f in self.functions:
-            constants, slopes = _pieces(f)
-            exact = constants[piece] + slopes[piece] * raw.astype(object)
-            results.append(engine.value(exact, *_form(f, z.shape), is_bit=f.is_bit))
-        return results
+        raw = np.asarray(z.parts[0]).astype(object)
+        thresholds, functions = self.pieces.clear
+        piece = np.searchsorted(thresholds, raw, side="right")
+        return [
+            engine.value(constants[piece] + slopes[piece] * raw, *f.form(z.shape), is_bit=f.is_bit)
+            for f, (constants, slopes) in zip(self.pieces.functions, functions, strict=True)
+        ]
 
 
-class _Sums:
-    """Public linear combinations over the thresholds of what the key gave."""
-
-    def __init__(self, signed: FieldArray, shape: Shape) -> None:
-        self._signed, self._shape = signed, shape
-
-    def of(self, weights: tuple[int, ...], part: int, payload: int) -> FieldArray:
-        """``sum_i weights_i signed_i`` for one part (value or MAC) and one payload."""
-        column = self._signed[:, :, part, payload]
-        if len(weights) == 1:
-            return field.scale(column[:, 0], weights[0]).reshape((*self._shape, 2))
-        return inner_product.dot(column, _limbs(weights)).reshape((*self._shape, 2))
-
-
-def _form(f: Function, shape: Shape) -> tuple[int, Bound]:
-    return f.frac, Bound.of_entry(f.entry, shape)
-
-
-@lru_cache(maxsize=256)
-def _limbs(weights: tuple[int, ...]) -> Any:
-    return inner_product.limbs(field.from_ints(weights))
-
-
-@lru_cache(maxsize=64)
-def _words(numbers: tuple[int, ...]) -> npt.NDArray[np.uint64]:
-    """Integers of either sign as two's complement of 128 bits, shape (k, 2)."""
-    packed = b"".join((number % (1 << 128)).to_bytes(16, "little") for number in numbers)
-    return np.frombuffer(packed, dtype="<u8").reshape(-1, 2)
-
-
-@lru_cache(maxsize=64)
-def _pieces(f: Function) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Constant and slope of every piece."""
-    constants = np.array([f.constant, *f.constants], dtype=object).cumsum()
-    slopes = np.array([f.slope, *f.slopes], dtype=object).cumsum()
-    return constants, slopes
+def _weighted(pieces: Pieces, signed: FieldArray) -> FieldArray:
+    """``sum_i jumps_i signed_i`` for all columns of jumps: (n, k, columns, 2) to (rows, columns, n, 2)."""
+    n, k, columns = signed.shape[:3]
+    if k == 1:
+        column = signed[:, 0].swapaxes(0, 1)
+        return np.stack([field.scale(column, weight) for (weight,) in pieces.jumps])
+    vectors = signed.transpose(2, 0, 1, 3).reshape(1, columns * n, k, 2)
+    return inner_product.dot(pieces.weights, vectors).reshape(-1, columns, n, 2)
 
 
 def _minus(a: FieldArray, b: FieldArray) -> FieldArray:
@@ -216,22 +145,18 @@ def _signed(negative: npt.NDArray[np.bool_], a: FieldArray) -> FieldArray:
     return np.where(negative[..., None], field.neg(a), a)
 
 
-def piecewise(
-    z: Value, thresholds: Sequence[int], *functions: Function, bound: int | None = None
-) -> list[Value]:
+def piecewise(z: Value, pieces: Pieces, *, bound: int | None = None) -> list[Value]:
     """Evaluate piecewise linear functions of a masked value; local.
 
     Args:
         z: Masked value of any shape.
-        thresholds: Ascending raw integers, at least one.
-        functions: The functions, all on these thresholds.
+        pieces: The functions.
         bound: A public bound on |z - T| in raw units, where the caller knows one that is tighter than
             what follows from ``z.bound``.
 
     Returns:
         One shared value a function, of z's shape.
     """
-    largest = max(abs(thresholds[0]), abs(thresholds[-1]))
-    gate = Piecewise(tuple(thresholds), functions, z.bound.entry + largest if bound is None else bound)
-    result: list[Value] = z.engine.read(gate, z)
+    limit = z.bound.entry + pieces.farthest if bound is None else bound
+    result: list[Value] = z.engine.read(Piecewise(pieces, limit), z)
     return result
