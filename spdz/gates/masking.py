@@ -13,13 +13,18 @@ opened is recorded for the MAC check.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod
+from typing import Any
+
+import numpy as np
 
 from spdz import field
 from spdz.bound import NOTHING, Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.field import P
+from spdz.rings import Ring
 from spdz.types import FieldArray
 from spdz.value import Value
 
@@ -67,47 +72,51 @@ class Mask(Gate):
     """Operands: shared values."""
 
     async def deal(self, recipe: Recipe, *values: Value) -> list[Value]:
-        """Deal one [[r]] a value."""
+        """Deal one [[r]] for all entries."""
 
-        def make(z: Value) -> FieldArray:
-            bits = signed_bits(z.bound.entry)
-            if bits + SECURITY_BITS >= FULL:
-                return recipe.uniform_below(P, z.shape)
-            return integer_mask(recipe.uniform_below(P - (1 << bits), z.shape), bits)
+        def make() -> FieldArray:
+            return np.concatenate([_fresh_mask(recipe, z).reshape(-1, 2) for z in values])
 
-        masked = [
-            recipe.masked_value(
-                "mask",
-                (z,),
-                z.shape,
-                z.frac,
-                z.bound,
-                lambda z=z: make(z),  # type: ignore[misc]
-                count=("mask", prod(z.shape)),
-            )
-            for z in values
+        total = sum(prod(z.shape) for z in values)
+        masked = recipe.masked_value("mask", values, (total,), 0, NOTHING, make, count=("mask", total))
+        await recipe.opening(total)
+        return [
+            Value(recipe, part, z.shape, z.frac, z.bound, masked=True)
+            for z, part in zip(values, _split(recipe.ring, masked.parts, values), strict=True)
         ]
-        await recipe.opening(sum(prod(z.shape) for z in values))
-        return masked
 
     async def evaluate(self, party: Evaluation, *values: Value) -> list[Value]:
         """Open z - r."""
-        masks = [party.authenticated(z.shape, count=("mask", prod(z.shape))) for z in values]
+        total = sum(prod(z.shape) for z in values)
         width = 2 if party.malicious else 1
-        opened = await party.open(
-            *(
-                z - Value(party, mask[:width], z.shape, z.frac, NOTHING)
-                for z, mask in zip(values, masks, strict=True)
-            )
-        )
+        mask = party.authenticated((total,), count=("mask", total))[:width]
+        flat = [np.concatenate([z.parts[j].reshape(-1, 2) for z in values]) for j in range(width)]
+        hidden = [field.sub(z, r) for z, r in zip(flat, mask, strict=True) if r is not None]
+        (eps,) = await party.open(Value(party, tuple(hidden), (total,), 0, NOTHING))
         return [
-            Value(party, (eps, *mask[:width]), z.shape, z.frac, z.bound, masked=True)
-            for z, mask, eps in zip(values, masks, opened, strict=True)
+            Value(party, part, z.shape, z.frac, z.bound, masked=True)
+            for z, part in zip(values, _split(party.ring, (eps, *mask), values), strict=True)
         ]
 
     async def clear(self, engine: ClearText, *values: Value) -> list[Value]:
         """The values themselves."""
         return list(values)
+
+
+def _fresh_mask(recipe: Recipe, z: Value) -> FieldArray:
+    bits = signed_bits(z.bound.entry)
+    if bits + SECURITY_BITS >= FULL:
+        return recipe.uniform_below(P, z.shape)
+    return integer_mask(recipe.uniform_below(P - (1 << bits), z.shape), bits)
+
+
+def _split(ring: Ring, parts: tuple[Any, ...], values: tuple[Value, ...]) -> Iterator[tuple[Any, ...]]:
+    """Cut what belongs to each value out of parts for all of them."""
+    start = 0
+    for z in values:
+        stop = start + prod(z.shape)
+        yield tuple(ring.reshape(ring.index(part, (slice(start, stop),)), z.shape) for part in parts)
+        start = stop
 
 
 async def mask(*values: Value) -> list[Value]:

@@ -21,7 +21,8 @@ import numpy as np
 from spdz import field
 from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
-from spdz.types import FieldArray
+from spdz.field import P
+from spdz.types import BigIntArray, FieldArray
 from spdz.value import Value
 
 KIND = "polynomial"
@@ -63,21 +64,20 @@ class Polynomial(Gate):
         """The sum of the module's docstring."""
         n, shape = self._degree, y.shape
         dealt = party.authenticated((2 * n - 1, *shape), count=(KIND, prod(shape)))
-        c, d = y.parts[0], w.parts[0]
-        taylor = _taylor(self.coefficients, c)
-        scaled = field.mul(taylor, d[None])
-        weights = np.concatenate([scaled[1:], taylor])
+        taylor = _taylor(self.coefficients, field.to_ints(y.parts[0]))
+        scaled = [row * field.to_ints(w.parts[0]) % P for row in taylor]
         shares = []
         for j in range(len(y.parts) - 1):
             corrections = dealt[j]
             assert corrections is not None
+            powers, products = np.split(field.to_ints(corrections), [n - 1])
             # r, r^2 .. r^n for w's public part; l, l r .. l r^n for its mask.
-            terms = np.concatenate(
-                [y.parts[1 + j][None], corrections[: n - 1], w.parts[1 + j][None], corrections[n - 1 :]]
-            )
-            shares.append(field.sum(field.mul(weights, terms), 0))
+            total = scaled[1] * field.to_ints(y.parts[1 + j]) + taylor[0] * field.to_ints(w.parts[1 + j])
+            for weight, power in zip([*scaled[2:], *taylor[1:]], [*powers, *products], strict=True):
+                total = total + weight * power
+            shares.append(field.from_ints(total))
         result = Value(party, tuple(shares), shape, *self._form(w))
-        return party.plus_public(result, scaled[0])
+        return party.plus_public(result, field.from_ints(scaled[0]))
 
     def clear(self, engine: ClearText, w: Value, y: Value) -> Value:
         """Horner's rule."""
@@ -88,20 +88,19 @@ class Polynomial(Gate):
         return engine.value(total * np.asarray(w.parts[0]).astype(object), *self._form(w))
 
 
-def _taylor(coefficients: tuple[int, ...], c: FieldArray) -> FieldArray:
-    """``p^(j)(c) / j!`` for j = 0 .. n, shape (n + 1,) + S."""
+def _taylor(coefficients: tuple[int, ...], c: BigIntArray) -> list[BigIntArray]:
+    """``p^(j)(c) / j!`` mod p for j = 0 .. n, by Horner's rule.
+
+    On Python integers: there is one entry a vector, for which they are faster than the array kernels.
+    """
     n = len(coefficients) - 1
-    powers = [np.broadcast_to(field.from_int(1), c.shape), c]
-    while len(powers) <= n:
-        powers.append(field.mul(powers[-1], c))
     rows = []
     for j in range(n + 1):
-        total = None
-        for k in range(j, n + 1):
-            term = field.scale(powers[k - j], comb(k, j) * coefficients[k])
-            total = term if total is None else field.add(total, term)
+        total = np.full(c.shape, coefficients[n] * comb(n, j), dtype=object)
+        for k in range(n - 1, j - 1, -1):
+            total = (total * c + coefficients[k] * comb(k, j)) % P
         rows.append(total)
-    return np.stack(rows)  # type: ignore[arg-type]
+    return rows
 
 
 def polynomial(w: Value, y: Value, coefficients: tuple[int, ...], frac: int, entry: int) -> Value:
