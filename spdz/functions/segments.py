@@ -129,4 +129,4 @@ def _interpolated(alpha: Fraction, deviation: Fraction) -> tuple[Fraction, ...]:
         shifted = [gmpy2.mpfr(0), *coefficients[:-1]]
         coefficients = [a - point * b for a, b in zip(shifted, coefficients, strict=True)]
         coefficients[0] += difference
-    return tuple(Fraction(*c.as_integer_ratio()) for c in coefficients)
+    return tuple(Fraction(*map(int, c.as_integer_ratio())) for c in coefficients)

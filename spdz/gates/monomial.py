@@ -14,7 +14,7 @@ parties: local and under MAC.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
@@ -24,7 +24,8 @@ import numpy as np
 
 from spdz import field
 from spdz.bound import Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe, Share
+from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.gates.element import Element, pack, times, total, unpack
 from spdz.gates.masking import tightened
 from spdz.types import FieldArray, Shape
 from spdz.value import Value
@@ -68,26 +69,20 @@ class Monomial(Gate):
     def evaluate(self, party: Evaluation, *factors: Value) -> Value:
         """Sum over the subsets."""
         shape, frac, bound = self._result(factors)
-        indices = range(len(factors))
-        shares: dict[Subset, tuple[FieldArray | None, ...]] = {(i,): factors[i].parts[1:] for i in indices}
+        everything, width = range(len(factors)), len(factors[0].parts) - 1
+        shares: dict[Subset, Sequence[FieldArray | None]] = {(i,): factors[i].parts[1:] for i in everything}
         for subset in _subsets(len(factors)):
-            chosen = [factors[i] for i in subset]
             count = (KIND, prod(shape)) if len(subset) == len(factors) else None
-            share: Share = party.authenticated(_shape(chosen), count=count)
-            shares[subset] = share[: len(factors[0].parts) - 1]
-        totals: list[FieldArray | None] = [None] * (len(factors[0].parts) - 1)
+            shares[subset] = party.authenticated(_shape([factors[i] for i in subset]), count=count)
+        eps = [unpack(factor.parts[0]) for factor in factors]
+        terms: list[list[Element]] = [[] for _ in range(width)]
         for subset, parts in shares.items():
-            others = [factors[i].parts[0] for i in indices if i not in subset]
-            factor: FieldArray | None = reduce(times, others) if others else None
-            for j, part in enumerate(parts):
+            others = [eps[i] for i in everything if i not in subset]
+            for j, part in enumerate(parts[:width]):
                 if part is not None:
-                    term = part if factor is None else times(factor, part)
-                    total = totals[j]
-                    totals[j] = term if total is None else field.add(total, term)
-        dealt = [field.zeros(shape) if t is None else np.broadcast_to(t, (*shape, 2)) for t in totals]
-        result = Value(party, tuple(dealt), shape, frac, bound)
-        public = reduce(times, (factor.parts[0] for factor in factors))
-        return party.plus_public(result, np.broadcast_to(public, (*shape, 2)))
+                    terms[j].append(reduce(times, others, unpack(part)))
+        result = Value(party, tuple(pack(total(one), shape) for one in terms), shape, frac, bound)
+        return party.plus_public(result, pack(reduce(times, eps), shape))
 
     def clear(self, engine: ClearText, *factors: Value) -> Value:
         """The product itself."""
@@ -103,15 +98,6 @@ def _subsets(m: int) -> Iterable[Subset]:
 
 def _shape(factors: list[Value]) -> Shape:
     return np.broadcast_shapes(*(factor.shape for factor in factors))
-
-
-def times(a: FieldArray, b: FieldArray) -> FieldArray:
-    """Elementwise product with broadcasting; a single element scales, which is far cheaper."""
-    if a.size == 2 and a.ndim <= b.ndim:
-        return field.scale(b, field.to_int(a))
-    if b.size == 2 and b.ndim <= a.ndim:
-        return field.scale(a, field.to_int(b))
-    return field.mul(a, b)
 
 
 def multiply(*factors: Value, entry: float | None = None, norm: float | None = None) -> Value:

@@ -21,11 +21,12 @@ import numpy as np
 from spdz import field
 from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
-from spdz.field import P
-from spdz.types import BigIntArray, FieldArray
+from spdz.gates.element import Element, pack, plus, times, total
+from spdz.types import FieldArray
 from spdz.value import Value
 
 KIND = "polynomial"
+_FEW = 32  # entries up to which Python integers are faster than array kernels (measured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,23 +62,40 @@ class Polynomial(Gate):
         return w.frac + self.frac, Bound.of_entry(self.entry, w.shape)
 
     def evaluate(self, party: Evaluation, w: Value, y: Value) -> Value:
-        """The sum of the module's docstring."""
-        n, shape = self._degree, y.shape
-        dealt = party.authenticated((2 * n - 1, *shape), count=(KIND, prod(shape)))
-        taylor = _taylor(self.coefficients, field.to_ints(y.parts[0]))
-        scaled = [row * field.to_ints(w.parts[0]) % P for row in taylor]
-        shares = []
-        for j in range(len(y.parts) - 1):
-            corrections = dealt[j]
-            assert corrections is not None
-            powers, products = np.split(field.to_ints(corrections), [n - 1])
-            # r, r^2 .. r^n for w's public part; l, l r .. l r^n for its mask.
-            total = scaled[1] * field.to_ints(y.parts[1 + j]) + taylor[0] * field.to_ints(w.parts[1 + j])
-            for weight, power in zip([*scaled[2:], *taylor[1:]], [*powers, *products], strict=True):
-                total = total + weight * power
-            shares.append(field.from_ints(total))
-        result = Value(party, tuple(shares), shape, *self._form(w))
-        return party.plus_public(result, field.from_ints(scaled[0]))
+        """The sum of the module's docstring, for few entries one after the other."""
+        shape, width = y.shape, len(y.parts) - 1
+        dealt = party.authenticated((2 * self._degree - 1, *shape), count=(KIND, prod(shape)))
+        columns = [
+            *w.parts,
+            *y.parts,
+            *(row for share in dealt[:width] if share is not None for row in share),
+        ]
+        if prod(shape) <= _FEW:
+            entries = zip(*(field.to_list(column) for column in columns), strict=True)
+            results = [self._entry(width, *entry) for entry in entries]
+            packed = [field.from_ints(numbers).reshape((*shape, 2)) for numbers in zip(*results, strict=True)]
+        else:
+            packed = [pack(result, shape) for result in self._entry(width, *columns)]
+        public, *shares = packed
+        return party.plus_public(Value(party, tuple(shares), shape, *self._form(w)), public)
+
+    def _entry(self, width: int, *columns: Element) -> list[Element]:
+        """The part of w p(y) outside the masks, and this party's shares of the rest.
+
+        The columns are d and l's shares, c and r's shares, then r^2 .. r^n and l r .. l r^n for each share.
+        """
+        n = self._degree
+        (d, *of_w), (c, *of_y) = columns[: width + 1], columns[width + 1 : 2 * width + 2]
+        taylor = _taylor(self.coefficients, c)
+        scaled = [times(row, d) for row in taylor]
+        results = [scaled[0]]
+        for j in range(width):
+            start = 2 * width + 2 + j * (2 * n - 1)
+            powers, products = columns[start : start + n - 1], columns[start + n - 1 : start + 2 * n - 1]
+            # r .. r^n for w's public part; l .. l r^n for its mask.
+            pairs = zip([*scaled[1:], *taylor], [of_y[j], *powers, of_w[j], *products], strict=True)
+            results.append(total([times(weight, share) for weight, share in pairs]))
+        return results
 
     def clear(self, engine: ClearText, w: Value, y: Value) -> Value:
         """Horner's rule."""
@@ -88,18 +106,15 @@ class Polynomial(Gate):
         return engine.value(total * np.asarray(w.parts[0]).astype(object), *self._form(w))
 
 
-def _taylor(coefficients: tuple[int, ...], c: BigIntArray) -> list[BigIntArray]:
-    """``p^(j)(c) / j!`` mod p for j = 0 .. n, by Horner's rule.
-
-    On Python integers: there is one entry a vector, for which they are faster than the array kernels.
-    """
+def _taylor(coefficients: tuple[int, ...], c: Element) -> list[Element]:
+    """``p^(j)(c) / j!`` for j = 0 .. n, by Horner's rule."""
     n = len(coefficients) - 1
     rows = []
     for j in range(n + 1):
-        total = np.full(c.shape, coefficients[n] * comb(n, j), dtype=object)
+        row: Element = comb(n, j) * coefficients[n]
         for k in range(n - 1, j - 1, -1):
-            total = (total * c + coefficients[k] * comb(k, j)) % P
-        rows.append(total)
+            row = plus(times(row, c), comb(k, j) * coefficients[k])
+        rows.append(row)
     return rows
 
 

@@ -1,0 +1,54 @@
+"""Sums and products of elements that are single (a Python integer) or many (an array), by one text.
+
+Gates on scores and norms work on one element a vector, for which Python integers cost a tenth of what the
+array kernels do; a product of a single element with an array is a scaling, which costs a tenth of an
+elementwise product. Sums of integers are not reduced until they are multiplied or packed.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import TypeAlias
+
+import numpy as np
+
+from spdz import field
+from spdz.types import FieldArray, Shape
+
+Element: TypeAlias = int | FieldArray
+"""A single element as an integer, or an array of shape S + (2,)."""
+
+
+def unpack(a: FieldArray) -> Element:
+    """An array of one element as an integer in [0, p)."""
+    return field.to_int(a) if a.size == 2 else a
+
+
+def pack(a: Element, shape: Shape) -> FieldArray:
+    """As an array of shape S + (2,); single elements are broadcast."""
+    if isinstance(a, int):
+        a = field.from_int(a)
+    return np.broadcast_to(a, (*shape, 2)) if a.size > 2 or a.ndim > len(shape) + 1 else _filled(a, shape)
+
+
+def _filled(a: FieldArray, shape: Shape) -> FieldArray:
+    return a.reshape((*shape, 2)) if all(n == 1 for n in shape) else np.broadcast_to(a, (*shape, 2))
+
+
+def times(a: Element, b: Element) -> Element:
+    """The product."""
+    if isinstance(a, int):
+        return a * b % field.P if isinstance(b, int) else field.scale(b, a)
+    return field.scale(a, b) if isinstance(b, int) else field.mul(a, b)
+
+
+def plus(a: Element, b: Element) -> Element:
+    """The sum."""
+    if isinstance(a, int) and isinstance(b, int):
+        return a + b
+    return field.add(*(field.from_int(one) if isinstance(one, int) else one for one in (a, b)))
+
+
+def total(terms: list[Element]) -> Element:
+    """The sum of all; 0 if there are none."""
+    return reduce(plus, terms) if terms else 0
