@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dealer.randomness import MacKey, uniform_below
-from spdz import dcf, field
+from spdz import dcf, field, input_mask
 from spdz.bound import Bound
 from spdz.coroutine import exchange, run_silently
 from spdz.engine import Gate, Input, Recipe
@@ -90,9 +90,11 @@ class DealtJob(Recipe):
 
     def input_mask(self, source: Input) -> Value:
         """The owner's pad is the mask."""
-        mask = self._pads[source.owner].pad(source.shape)
+        bits = self.input_mask_bits(source)
+        mask = input_mask.from_pad(self._pads[source.owner].pad(source.shape), source.owner, bits)
         self._deal_mac(mask, stored_by=source.owner)
-        return Value(self, (mask,), source.shape, FRACTION_BITS, Bound.of_norm(source.norm), masked=True)
+        bound = Bound.of_norm(source.norm)
+        return Value(self, (mask,), source.shape, FRACTION_BITS, bound, masked=True, mask_bits=bits)
 
     def authenticated(
         self,

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from typing import Any, TypeAlias
 
+from spdz import input_mask
 from spdz.bound import Bound
 from spdz.rings import Ring
 from spdz.types import Block, Buffer, FieldArray, IntArray, Security, Shape
@@ -51,6 +52,10 @@ class Engine(ABC):
     def malicious(self) -> bool:
         """Whether values carry MACs."""
         return self.security == "malicious"
+
+    def input_mask_bits(self, source: Input) -> int:
+        """How long the mask of an input is (:mod:`spdz.input_mask`)."""
+        return input_mask.bits(source.shape, source.norm, malicious=self.malicious)
 
     @abstractmethod
     def read(self, gate: Gate, *operands: Any) -> Any:

@@ -193,7 +193,8 @@ class Meter(Recipe):
         self.correlations["input mask"] += size
         symbol = self._note("input", source.owner, source.shape, source.norm, len(self.trace))
         bound = Bound.of_norm(source.norm)
-        return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True)
+        bits = self.input_mask_bits(source)
+        return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True, mask_bits=bits)
 
     def authenticated(
         self,

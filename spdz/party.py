@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from spdz import dcf, field
+from spdz import dcf, field, input_mask
 from spdz.engine import Evaluation, Gate, Input, Share, Triple
 from spdz.errors import TapeDamaged
 from spdz.mac_check import MacCheck
@@ -151,7 +151,10 @@ class Party(Evaluation):
         """The mask itself at the owner; a MAC share at both."""
         self._stats.book("input mask", prod(source.shape))
         own = source.owner == self.index
-        mask = self._stream.pad(source.shape) if own else None
+        mask = None
+        if own:
+            pad = self._stream.pad(source.shape)
+            mask = input_mask.from_pad(pad, source.owner, self.input_mask_bits(source))
         return mask, self._mac(source.shape, stored=own)
 
     def authenticated(self, shape: Shape, *, count: tuple[str, int] | None = None) -> Share:

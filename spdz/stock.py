@@ -18,6 +18,7 @@ from types import MappingProxyType
 from spdz import field, inner_product
 from spdz.engine import Input, Recipe, Share, Triple
 from spdz.errors import TapeExhausted, TapeMismatch
+from spdz.input_mask import LONG
 from spdz.mac_check import MacCheck
 from spdz.party import JobStream, Party
 from spdz.stats import Stats
@@ -105,6 +106,10 @@ class StockedParty(Party):
             f"a stock serves Beaver products only, not a {count[0] if count else 'gate'}: use beaver_dot "
             "and beaver_multiply, or deal for this program"
         )
+
+    def input_mask_bits(self, source: Input) -> int:
+        """A stock's masks serve any input."""
+        return LONG
 
     @property
     def fully_drawn(self) -> bool:

@@ -13,6 +13,7 @@ from spdz.errors import ProtocolViolation
 from spdz.types import FieldArray, Shape
 
 ELEMENT_BYTES = 16
+NOT_CANONICAL = "the peer sent a number that is not a field element (not below 2^127 - 1)"
 
 
 def to_bytes(array: npt.NDArray[Any]) -> memoryview:
@@ -31,7 +32,7 @@ async def exchange_elements(own: Sequence[FieldArray], shapes: Sequence[Shape]) 
     reply = await exchange([to_bytes(array) for array in own], sum(sizes) * ELEMENT_BYTES, sent)
     words = np.frombuffer(reply, dtype=np.uint64).reshape(-1, 2)
     if not field.is_canonical(words):
-        raise ProtocolViolation("the peer sent a number that is not a field element (not below 2^127 - 1)")
+        raise ProtocolViolation(NOT_CANONICAL)
     arrays, start = [], 0
     for size, shape in zip(sizes, shapes, strict=True):
         arrays.append(words[start : start + size].reshape((*shape, 2)))

@@ -1,26 +1,31 @@
 """Masked input: party i learns r from the dealer and sends eps = x - r, once.
 
-Cost: one round for the inputs of both parties, one field element a coordinate, and nothing more however
-often the masked value is used: the mask r *is* the Beaver mask of every later product
-(function-dependent preprocessing: Ben-Efraim, Nielsen, Omri, "Turbospeedz", ACNS 2019).
+Cost: one round for the inputs of both parties, one field element a coordinate (half of one for short inputs
+in the semi-honest mode, :mod:`spdz.input_mask`), and nothing more however often the masked value is used: the
+mask r *is* the Beaver mask of every later product (function-dependent preprocessing: Ben-Efraim, Nielsen,
+Omri, "Turbospeedz", ACNS 2019).
 
-Security: eps is uniform in F_p whatever x is. A malicious owner can choose any x in F_p^N and nothing
-else: with two parties there is nobody to whom it could send a second, different eps.
+Security: a long mask makes eps uniform in F_p whatever x is. A malicious owner can choose any x in F_p^N and
+nothing else: with two parties there is nobody to whom it could send a second, different eps.
 """
 
 from __future__ import annotations
 
 from math import prod
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from spdz import field
+from spdz import field, input_mask
 from spdz.bound import Bound
 from spdz.coroutine import exchange
 from spdz.engine import ClearText, Evaluation, Gate, Input, Recipe
+from spdz.errors import ProtocolViolation
 from spdz.fixed_point import FRACTION_BITS
+from spdz.types import FieldArray, IntArray
 from spdz.value import Value
-from spdz.wire import exchange_elements, to_bytes
+from spdz.wire import NOT_CANONICAL, to_bytes
 
 
 class MaskedInput(Gate):
@@ -36,27 +41,40 @@ class MaskedInput(Gate):
     async def evaluate(self, party: Evaluation, *inputs: Input) -> list[Value]:
         """Send x - r for the own inputs, receive the peer's."""
         shares = [party.input_mask(source) for source in inputs]
-        sent = [
-            field.sub_from_int64(source.data, mask)
-            for source, (mask, _) in zip(inputs, shares, strict=True)
+        bits = [party.input_mask_bits(source) for source in inputs]
+        own: list[Any] = [
+            _hidden(source.data, mask, length)
+            for source, (mask, _), length in zip(inputs, shares, bits, strict=True)
             if source.data is not None and mask is not None
         ]
-        received = iter(
-            await exchange_elements(sent, [source.shape for source in inputs if source.owner != party.index])
-        )
-        own, values = iter(sent), []
-        for source, (mask, mac) in zip(inputs, shares, strict=True):
-            eps = next(own if source.owner == party.index else received)
+        theirs = [
+            (prod(source.shape) * input_mask.element_bytes(length))
+            for source, length in zip(inputs, bits, strict=True)
+            if source.owner != party.index
+        ]
+        sent = sum(prod(source.shape) for source in inputs if source.owner == party.index)
+        reply = await exchange([to_bytes(words) for words in own], sum(theirs), sent)
+        words, values, start = iter(own), [], 0
+        for source, (mask, mac), length in zip(inputs, shares, bits, strict=True):
+            if source.owner == party.index:
+                eps = next(words)
+            else:
+                stop = start + prod(source.shape) * input_mask.element_bytes(length)
+                eps = np.frombuffer(reply[start:stop], dtype=np.uint64).reshape((*source.shape, -1))
+                start = stop
+            eps = _public(eps, source, length)
             parts = (eps, mask, mac) if party.malicious else (eps, mask)
+            bound = Bound.of_norm(source.norm)
             values.append(
                 Value(
                     party,
                     parts,
                     source.shape,
                     FRACTION_BITS,
-                    Bound.of_norm(source.norm),
+                    bound,
                     masked=True,
                     plain=source.data,
+                    mask_bits=length,
                 )
             )
         return values
@@ -79,3 +97,19 @@ class MaskedInput(Gate):
                 start += raw.size
             values.append(engine.value(raw, FRACTION_BITS, Bound.of_norm(source.norm)))
         return values
+
+
+def _hidden(x: IntArray, mask: FieldArray, bits: int) -> npt.NDArray[np.uint64]:
+    """What the owner sends: elements, or one word a coordinate."""
+    if bits == input_mask.LONG:
+        return field.sub_from_int64(x, mask)
+    return input_mask.hide(x, mask)[..., None]
+
+
+def _public(words: npt.NDArray[np.uint64], source: Input, bits: int) -> FieldArray:
+    """The eps that was sent."""
+    if bits == input_mask.SHORT:
+        return input_mask.public_part(words[..., 0], source.owner)
+    if not field.is_canonical(words):
+        raise ProtocolViolation(NOT_CANONICAL)
+    return words

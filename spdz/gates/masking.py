@@ -122,7 +122,8 @@ def _split(ring: Ring, parts: tuple[Any, ...], values: tuple[Value, ...]) -> Ite
 async def mask(*values: Value) -> list[Value]:
     """Mask computed values, so that they can be multiplied, truncated and compared; one round for all.
 
-    Values that are masked already are returned as they are, without a round if all of them are.
+    A value that is masked already is returned as it is, unless its mask is too short for its range (a
+    truncated value that was then scaled up): it is masked anew. There is no round if all are returned.
 
     Args:
         values: Values of any shape.
@@ -130,11 +131,15 @@ async def mask(*values: Value) -> list[Value]:
     Returns:
         The same numbers as masked values, in order.
     """
-    shared = [z for z in values if not z.masked]
-    if not shared:
+    waiting = [z.engine.shared(z) for z in values if not _ready(z)]
+    if not waiting:
         return list(values)
-    fresh = iter(await shared[0].engine.read(Mask(), *shared))
-    return [z if z.masked else next(fresh) for z in values]
+    fresh = iter(await waiting[0].engine.read(Mask(), *waiting))
+    return [z if _ready(z) else next(fresh) for z in values]
+
+
+def _ready(z: Value) -> bool:
+    return z.masked and (z.mask_bits == FULL or signed_bits(z.bound.entry) + SECURITY_BITS < z.mask_bits)
 
 
 def tightened(bound: Bound, entry: int | None, norm: int | None) -> Bound:
