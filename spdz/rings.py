@@ -82,7 +82,7 @@ class FieldRing:
 
     def broadcast(self, a: FieldArray, shape: Shape) -> FieldArray:
         """A view in a larger shape."""
-        return np.broadcast_to(a, (*shape, 2))
+        return a if a.shape[:-1] == shape else np.broadcast_to(a, (*shape, 2))
 
     def concatenate(self, parts: Sequence[FieldArray | None], lengths: Sequence[int]) -> FieldArray:
         """End to end."""
