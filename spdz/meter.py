@@ -118,9 +118,9 @@ class SymbolRing:
         """A larger shape."""
         return _symbol("broadcast", a, shape)
 
-    def concatenate(self, parts: Sequence[Symbol], lengths: Sequence[int]) -> Symbol:
+    def concatenate(self, parts: Sequence[Symbol], shapes: Sequence[Shape]) -> Symbol:
         """End to end."""
-        return _symbol("concatenate", *parts, *lengths)
+        return _symbol("concatenate", *parts, *shapes)
 
 
 class Meter(Recipe):

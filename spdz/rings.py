@@ -42,8 +42,8 @@ class Ring(Protocol):
     def broadcast(self, a: Any, shape: Shape) -> Any:
         """A view in a larger shape."""
 
-    def concatenate(self, parts: Sequence[Any], lengths: Sequence[int]) -> Any:
-        """One axis after the other, for parts of one axis; a part that is None counts as zeros."""
+    def concatenate(self, parts: Sequence[Any], shapes: Sequence[Shape]) -> Any:
+        """End to end along the first axis; a part that is None counts as zeros of its shape."""
 
 
 class FieldRing:
@@ -84,10 +84,10 @@ class FieldRing:
         """A view in a larger shape."""
         return a if a.shape[:-1] == shape else np.broadcast_to(a, (*shape, 2))
 
-    def concatenate(self, parts: Sequence[FieldArray | None], lengths: Sequence[int]) -> FieldArray:
+    def concatenate(self, parts: Sequence[FieldArray | None], shapes: Sequence[Shape]) -> FieldArray:
         """End to end."""
-        pairs = zip(parts, lengths, strict=True)
-        return np.concatenate([field.zeros(length) if part is None else part for part, length in pairs])
+        pairs = zip(parts, shapes, strict=True)
+        return np.concatenate([field.zeros(shape) if part is None else part for part, shape in pairs])
 
 
 def _exact(a: BigIntArray) -> BigIntArray:
@@ -132,6 +132,6 @@ class IntegerRing:
         """A view in a larger shape."""
         return np.broadcast_to(a, shape)
 
-    def concatenate(self, parts: Sequence[BigIntArray], lengths: Sequence[int]) -> BigIntArray:
+    def concatenate(self, parts: Sequence[BigIntArray], shapes: Sequence[Shape]) -> BigIntArray:
         """End to end."""
         return np.concatenate(parts)

@@ -19,8 +19,9 @@ other party's input mask; semi-honest runs have no MAC).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -220,29 +221,41 @@ class Value:
 
 
 def concatenate(*values: Value) -> Value:
-    """Values of one axis end to end, all masked or all shared (else they become shared)."""
-    if any(value.ndim != 1 for value in values):
-        raise ValueError("only values of one axis are concatenated: reshape them first")
+    """Values end to end along the first axis, all masked or all shared (else they become shared)."""
+    if any(value.ndim == 0 or value.shape[1:] != values[0].shape[1:] for value in values):
+        raise ValueError("only values that differ in their first axis alone can be concatenated")
     engine = values[0].engine
     if len({value.masked for value in values}) > 1:
         values = tuple(engine.shared(value) for value in values)
     frac = max(value.frac for value in values)
     values = tuple(value.rescaled(frac) for value in values)
-    lengths = [value.shape[0] for value in values]
+    shapes = [value.shape for value in values]
     parts = tuple(
-        None if all(part is None for part in column) else engine.ring.concatenate(column, lengths)
+        None if all(part is None for part in column) else engine.ring.concatenate(column, shapes)
         for column in zip(*(value.parts for value in values), strict=True)
     )
-    bound = Bound(max(v.bound.entry for v in values), sum(v.bound.norm for v in values))
+    norms = [value.bound.norm for value in values]
+    bound = Bound(max(v.bound.entry for v in values), sum(norms) if values[0].ndim == 1 else max(norms))
     return Value(
         engine,
         parts,
-        (sum(lengths),),
+        (sum(shape[0] for shape in shapes), *shapes[0][1:]),
         frac,
         bound,
         masked=values[0].masked,
         mask_bits=min(value.mask_bits for value in values),
     )
+
+
+def split(value: Value, shapes: Sequence[Shape]) -> list[Value]:
+    """Undo a concatenation of values that had been reshaped: cut the first axis and give back the shapes."""
+    width = prod(value.shape[1:])
+    results, start = [], 0
+    for shape in shapes:
+        stop = start + prod(shape) // width
+        results.append(value[start:stop].reshape(*shape))
+        start = stop
+    return results
 
 
 def _largest(raw: int | IntArray) -> int:

@@ -11,7 +11,7 @@ from spdz.gates.comparison import absolute
 from spdz.gates.monomial import multiply
 from spdz.gates.product import dot
 from spdz.gates.truncation import truncate
-from spdz.value import Value
+from spdz.value import Value, concatenate, split
 
 NORMALISED_BITS = 24
 """Fractional bits of a normalised vector's coordinates."""
@@ -27,19 +27,25 @@ async def l2_normalised(*vectors: Value) -> list[Value]:
         Masked values of the same shapes with 24 fractional bits; each norm is 1 within 2^-17 and the
         rounding of the coordinates.
     """
-    return await _scaled(vectors, await power(*(dot(x, x) for x in vectors), alpha=Fraction(-1, 2)))
+    rows = _rows(vectors)
+    return await _scaled(vectors, rows, *await power(dot(rows, rows), alpha=Fraction(-1, 2)))
 
 
 async def l1_normalised(*vectors: Value) -> list[Value]:
     """``x / sum |x|`` along the last axis; as :func:`l2_normalised`, within 2^-16."""
-    norms = [(await absolute(x)).sum() for x in vectors]
-    return await _scaled(vectors, await power(*norms, alpha=Fraction(-1)))
+    rows = _rows(vectors)
+    return await _scaled(vectors, rows, *await power((await absolute(rows)).sum(), alpha=Fraction(-1)))
 
 
-async def _scaled(vectors: Sequence[Value], inverses: Sequence[Power]) -> list[Value]:
-    mantissas = await truncate(*(inverse.mantissa for inverse in inverses), frac=RESULT_BITS)
-    products = [
-        multiply(x, inverse.scale[..., None], mantissa[..., None], norm=1.001)
-        for x, inverse, mantissa in zip(vectors, inverses, mantissas, strict=True)
-    ]
-    return await truncate(*products, frac=NORMALISED_BITS)
+def _rows(vectors: Sequence[Value]) -> Value:
+    """All vectors below each other: one batch costs little more than one vector."""
+    if len({x.shape[-1] for x in vectors}) != 1:
+        raise ValueError("vectors that are normalised together must have equal length")
+    return concatenate(*(x.reshape(-1, x.shape[-1]) for x in vectors))
+
+
+async def _scaled(vectors: Sequence[Value], rows: Value, inverse: Power) -> list[Value]:
+    (mantissa,) = await truncate(inverse.mantissa, frac=RESULT_BITS)
+    product = multiply(rows, inverse.scale[:, None], mantissa[:, None], norm=1.001)
+    (result,) = await truncate(product, frac=NORMALISED_BITS)
+    return split(result, [x.shape for x in vectors])

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, prod
+from math import ceil
 
 import gmpy2
 import numpy as np
@@ -37,7 +37,7 @@ from spdz.gates.pieces import Function, Pieces
 from spdz.gates.piecewise import piecewise
 from spdz.gates.polynomial import polynomial
 from spdz.gates.truncation import truncate
-from spdz.value import Value, concatenate
+from spdz.value import Value, concatenate, split
 
 T_BITS = 18
 """Fractional bits of t: an error of one unit moves the result by at most 2^-18 of itself."""
@@ -165,9 +165,6 @@ async def power(*values: Value, alpha: Fraction, signed: bool = False) -> list[P
     powers: Power = await flat.engine.read(_Power(alpha, signed), flat)
     if len(values) == 1:
         return [powers]
-    results, start = [], 0
-    for u in values:
-        piece = slice(start, start + prod(u.shape))
-        start = piece.stop
-        results.append(Power(powers.mantissa[piece].reshape(*u.shape), powers.scale[piece].reshape(*u.shape)))
-    return results
+    shapes = [u.shape for u in values]
+    pairs = zip(split(powers.mantissa, shapes), split(powers.scale, shapes), strict=True)
+    return [Power(mantissa, scale) for mantissa, scale in pairs]

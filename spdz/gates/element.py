@@ -15,6 +15,8 @@ import numpy as np
 from spdz import field
 from spdz.types import FieldArray, Shape
 
+_LONG_ROW = 256  # from so many elements on, rows times scalars are scaled row by row (measured)
+
 Element: TypeAlias = int | FieldArray
 """A single element as an integer, or an array of shape S + (2,)."""
 
@@ -39,7 +41,22 @@ def times(a: Element, b: Element) -> Element:
     """The product."""
     if isinstance(a, int):
         return a * b % field.P if isinstance(b, int) else field.scale(b, a)
-    return field.scale(a, b) if isinstance(b, int) else field.mul(a, b)
+    if isinstance(b, int):
+        return field.scale(a, b)
+    if b.ndim > 2 and b.shape[-2] == 1 and a.shape[-2] >= _LONG_ROW:
+        return _scale_rows(a, b)
+    return (
+        _scale_rows(b, a) if a.ndim > 2 and a.shape[-2] == 1 and b.shape[-2] >= _LONG_ROW else field.mul(a, b)
+    )
+
+
+def _scale_rows(a: FieldArray, b: FieldArray) -> FieldArray:
+    """Every row of a, times its own element of b."""
+    shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    rows = np.broadcast_to(a, (*shape, *a.shape[-2:])).reshape(-1, *a.shape[-2:])
+    factors = field.to_list(np.broadcast_to(b, (*shape, 1, 2)))
+    scaled = [field.scale(row, factor) for row, factor in zip(rows, factors, strict=True)]
+    return np.stack(scaled).reshape((*shape, *a.shape[-2:]))
 
 
 def plus(a: Element, b: Element) -> Element:

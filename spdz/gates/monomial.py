@@ -75,14 +75,23 @@ class Monomial(Gate):
             count = (KIND, prod(shape)) if len(subset) == len(factors) else None
             shares[subset] = party.authenticated(_shape([factors[i] for i in subset]), count=count)
         eps = [unpack(factor.parts[0]) for factor in factors]
-        terms: list[list[Element]] = [[] for _ in range(width)]
+        # What c of the largest factor multiplies is summed first: arrays are multiplied as little as possible.
+        big = max(everything, key=lambda i: prod(factors[i].shape))
+        inside: list[list[Element]] = [[] for _ in range(width)]
+        outside: list[list[Element]] = [[] for _ in range(width)]
         for subset, parts in shares.items():
-            others = [eps[i] for i in everything if i not in subset]
+            others = [eps[i] for i in everything if i not in subset and i != big]
             for j, part in enumerate(parts[:width]):
                 if part is not None:
-                    terms[j].append(reduce(times, others, unpack(part)))
-        result = Value(party, tuple(pack(total(one), shape) for one in terms), shape, frac, bound)
-        return party.plus_public(result, pack(reduce(times, eps), shape))
+                    term = times(reduce(times, others), unpack(part)) if others else unpack(part)
+                    (outside if big in subset else inside)[j].append(term)
+        sums = [
+            total([*alone, times(eps[big], total(common))])
+            for alone, common in zip(outside, inside, strict=True)
+        ]
+        result = Value(party, tuple(pack(one, shape) for one in sums), shape, frac, bound)
+        public = reduce(times, [eps[i] for i in everything if i != big])
+        return party.plus_public(result, pack(times(eps[big], public), shape))
 
     def clear(self, engine: ClearText, *factors: Value) -> Value:
         """The product itself."""
