@@ -75,7 +75,7 @@ class Monomial(Gate):
             count = (KIND, prod(shape)) if len(subset) == len(factors) else None
             shares[subset] = party.authenticated(_shape([factors[i] for i in subset]), count=count)
         eps = [unpack(factor.parts[0]) for factor in factors]
-        # What c of the largest factor multiplies is summed first: arrays are multiplied as little as possible.
+        # What the largest c multiplies is summed first: arrays are multiplied as seldom as possible.
         big = max(everything, key=lambda i: prod(factors[i].shape))
         inside: list[list[Element]] = [[] for _ in range(width)]
         outside: list[list[Element]] = [[] for _ in range(width)]
