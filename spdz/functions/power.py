@@ -100,7 +100,7 @@ class _Power(Gate):
 
 def _mantissa(alpha: Fraction, u: int, frac: int, scale: int, scale_frac: int) -> int:
     """``|u 2^-frac|^alpha / |scale 2^-scale_frac|``, rounded."""
-    with gmpy2.context(gmpy2.get_context(), precision=200):
+    with gmpy2.context(precision=200):
         value = gmpy2.mpfr(gmpy2.mpq(abs(u), 1 << frac)) ** gmpy2.mpfr(gmpy2.mpq(alpha))
         return int(gmpy2.rint(value / gmpy2.mpfr(gmpy2.mpq(abs(scale)) / gmpy2.mpq(2) ** scale_frac)))
 

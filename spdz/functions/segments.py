@@ -83,7 +83,7 @@ def table(alpha: Fraction, largest: int) -> Table:
         alpha: 1/2, -1/2, 1, -1: anything whose power of a rational gmpy2 can take.
         largest: The largest u, at least 1.
     """
-    with gmpy2.context(gmpy2.get_context(), precision=_PRECISION):
+    with gmpy2.context(precision=_PRECISION):
         length = max(largest.bit_length() + EXTRA, SHORTEST)
         starts = sorted(
             {_start(i) for i in range(_PER_OCTAVE * largest.bit_length()) if _start(i) <= largest}
