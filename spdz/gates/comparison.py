@@ -8,8 +8,10 @@ of them cheaper.
 
 from __future__ import annotations
 
+from copy import copy
 from functools import lru_cache
 
+from spdz.bound import Bound
 from spdz.gates.masking import mask
 from spdz.gates.pieces import Function, Pieces
 from spdz.gates.piecewise import piecewise
@@ -40,8 +42,11 @@ async def nonnegative(z: Value, bound: int | None = None) -> Value:
     Returns:
         Shared bits of z's shape.
     """
+    if bound is not None:
+        z = copy(z)
+        z.bound = Bound.of_entry(bound, z.shape)
     (z,) = await mask(z)
-    (bit,) = piecewise(z, _AT_LEAST_0, bound=bound)
+    (bit,) = piecewise(z, _AT_LEAST_0)
     return bit
 
 

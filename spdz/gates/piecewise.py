@@ -42,12 +42,14 @@ class Piecewise(Gate):
     """Operand: one masked value. The result is one value a function."""
 
     pieces: Pieces
-    bound: int
-    """What z - T_i never exceeds."""
+
+    def _bits(self, z: Value) -> int:
+        """For z - T_i of either sign."""
+        return local_bits(z, z.bound.entry + self.pieces.farthest)
 
     def deal(self, recipe: Recipe, z: Value) -> list[Value]:
         """Deal sigma/2 (and sigma r/2) and the key."""
-        bits, shape, width = local_bits(z, self.bound), z.shape, self.pieces.width
+        bits, shape, width = self._bits(z), z.shape, self.pieces.width
 
         def signs() -> FieldArray:
             """Sigma, sigma r: shape S + (width, 2)."""
@@ -70,7 +72,7 @@ class Piecewise(Gate):
 
     def evaluate(self, party: Evaluation, z: Value) -> list[Value]:
         """Steps 1 to 3."""
-        pieces, bits, shape = self.pieces, local_bits(z, self.bound), z.shape
+        pieces, bits, shape = self.pieces, self._bits(z), z.shape
         width = pieces.width
         half = party.authenticated((*shape, width), count=(KIND, prod(shape)))
         roots, key = party.comparison_key(shape, bits - 1, width)
@@ -145,18 +147,15 @@ def _signed(negative: npt.NDArray[np.bool_], a: FieldArray) -> FieldArray:
     return np.where(negative[..., None], field.neg(a), a)
 
 
-def piecewise(z: Value, pieces: Pieces, *, bound: int | None = None) -> list[Value]:
+def piecewise(z: Value, pieces: Pieces) -> list[Value]:
     """Evaluate piecewise linear functions of a masked value; local.
 
     Args:
         z: Masked value of any shape.
         pieces: The functions.
-        bound: A public bound on |z - T| in raw units, where the caller knows one that is tighter than
-            what follows from ``z.bound``.
 
     Returns:
         One shared value a function, of z's shape.
     """
-    limit = z.bound.entry + pieces.farthest if bound is None else bound
-    result: list[Value] = z.engine.read(Piecewise(pieces, limit), z)
+    result: list[Value] = z.engine.read(Piecewise(pieces), z)
     return result
