@@ -54,6 +54,11 @@ def low_bits(a: FieldArray, bits: int) -> FieldArray:
     return a & np.array(masks, dtype=np.uint64)
 
 
+def _bits(z: Value, drop: int) -> int:
+    """Bits of the integer to cut, which are more than those that go: its mask must hold them."""
+    return local_bits(z, max(z.bound.entry, (1 << drop) - 1))
+
+
 def _bound(z: Value, drop: int) -> Bound:
     """Of a result that is off by less than one."""
     entry, last = (z.bound.entry >> drop) + 1, z.shape[-1] if z.shape else 1
@@ -66,12 +71,9 @@ class Truncate(Gate):
 
     drop: int
 
-    def _bits(self, z: Value) -> int:
-        return max(local_bits(z), self.drop + 1)
-
     def deal(self, recipe: Recipe, z: Value) -> Value:
         """Deal the shifted mask."""
-        bits, drop = self._bits(z), self.drop
+        bits, drop = _bits(z, self.drop), self.drop
 
         def make() -> FieldArray:
             return integer_mask(shifted(integer_mask(z.parts[0], bits), drop), bits - drop)
@@ -115,7 +117,7 @@ class TruncateExactly(Gate):
 
     def _result(self, z: Value) -> tuple[int, Value]:
         half = z.plus_raw(1 << (self.drop - 1))
-        return max(local_bits(half), self.drop + 1), half
+        return _bits(half, self.drop), half
 
     def deal(self, recipe: Recipe, z: Value) -> Value:
         """Deal [[rho >> f]] and a key for the carry."""
