@@ -1,4 +1,7 @@
-"""``python -m bench``: what a comparison costs, beside the textbook protocol and no security at all."""
+"""``python -m bench``: what a comparison costs, beside the textbook protocol and no security at all.
+
+Two more commands measure something else: ``accuracy`` and ``oracle``, each in a file of its own.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,16 @@ import argparse
 import json
 import statistics
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+import bench.accuracy
+import bench.oracle
 from bench.pair import Measured, measure_clear, measure_secure
+from bench.recorded import recorded
 from protocols import is_candidate
 from protocols.scores import SCORES
 from protocols.textbook import TEXTBOOK
@@ -26,10 +32,23 @@ engine is measured in the same run, so that ratios hold on a noisy machine; time
 comparisons from plain floats to the opened and (malicious) MAC-checked result. Not timed: dealing, starting
 up, and reading the tape ahead (which expands the pads).
 
+--compare adds what compiled engines need for the same score, length and model, where it was recorded, and how
+many times ours that is. It was recorded on another machine: bytes compare exactly, times roughly.
+
+further commands, each with a --help of its own:
+  python -m bench accuracy    how far secure scores are from the true ones
+  python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
+
 examples:
   python -m bench --score S10 --dim 8192 --security malicious --trials 10 --json
-  python -m bench --score S6 S10 --dim 16 1536 8192
+  python -m bench --score S6 S10 --dim 16 1536 8192 --engine spdz --compare
 """
+
+COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
+    "accuracy": bench.accuracy.main,
+    "oracle": bench.oracle.main,
+}
+"""The commands beside the one without a name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,39 +144,64 @@ def parser() -> argparse.ArgumentParser:
     add("--max-norm", type=float, default=1.0, help="largest norm that the tapes serve (1)")
     add("--trials", type=int, default=10, help="counted runs (10)")
     add("--seed", type=int, default=1, help="seed of the descriptors (1)")
+    add("--compare", action="store_true", help="beside them, recorded figures of compiled engines")
     add("--json", action="store_true", help="one JSON object a line")
     return arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns the exit status."""
+    """Run the benchmark, or the command that the first word names; returns the exit status."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words and words[0] in COMMANDS:
+        return COMMANDS[words[0]](words[1:])
     arguments = parser()
-    options = arguments.parse_args(argv)
+    options = arguments.parse_args(words)
     if options.trials < 1 or min(options.dim) < 1 or options.seed < 0:
         arguments.error("--trials and --dim must be positive, and --seed not negative")
-    if not options.json:
-        print(f"{'score':6}{'N':>6}  {'security':12}{'engine':10}", end="")
-        print(f"{'ms':>9}{'bytes':>10}{'rounds':>8}{'tape B':>10}")
     if "textbook" in (options.engine or ()) and options.reveal == "bit":
         arguments.error("there is no textbook protocol for the bit: leave out --engine textbook")
     try:
         rows = sweep(options)
-        return run_command("python -m bench", lambda: _print(rows, as_json=options.json))
+        return run_command("python -m bench", lambda: _print(rows, options))
     except ValueError as error:
         arguments.error(str(error))
 
 
-def _print(rows: Iterator[Row], *, as_json: bool) -> int:
+def _print(rows: Iterator[Row], options: argparse.Namespace) -> int:
+    if not options.json:
+        print(f"{'score':6}{'N':>6}  {'security':12}{'engine':10}", end="")
+        print(f"{'ms':>9}{'bytes':>10}{'rounds':>8}{'tape B':>10}", flush=True)
     for row in rows:
-        if as_json:
-            print(json.dumps(asdict(row)), flush=True)
+        others = _beside(row) if options.compare else []
+        if options.json:
+            extra = {"recorded": others} if options.compare else {}
+            print(json.dumps({**asdict(row), **extra}), flush=True)
         else:
             print(
                 f"{row.score:6}{row.n:6}  {row.security:12}{row.engine:10}{row.median_ms:9.3f}"
                 f"{row.bytes_sent:10}{row.rounds:8}{row.tape_bytes:10}",
                 flush=True,
             )
+            _print_others(others)
     return 0
+
+
+def _beside(row: Row) -> list[dict[str, Any]]:
+    """What was recorded for a row: only our own engine's opened scores have counterparts."""
+    if (row.engine, row.reveal) != ("spdz", "score"):
+        return []
+    figures = recorded(row.score, row.n, row.security)
+    return [figure.beside(row.median_ms, row.bytes_sent, row.rounds) for figure in figures]
+
+
+def _print_others(others: Sequence[dict[str, Any]]) -> None:
+    for other in others:
+        rounds = "-" if other["rounds"] is None else other["rounds"]
+        print(
+            f"{other['engine'] + ', ' + other['protocol']:>36}{other['ms']:9.3f}{other['bytes_sent']:10}"
+            f"{rounds:>8}{'':10}  {other['ms_factor']:.1f} x time, {other['bytes_factor']:.1f} x bytes",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 
+import bench.accuracy
 import bench.cli
+import bench.oracle
+import bench.recorded_accuracy
 import dealer.cli
 import spdz
 from bench.demo.cli import add_demo
@@ -142,7 +145,8 @@ def known_options() -> set[str]:
     commands = parser.add_subparsers()
     add_match(commands)
     add_demo(commands)
-    parsers = [dealer.cli.parser(), bench.cli.parser(), *commands.choices.values()]
+    parsers = [dealer.cli.parser(), bench.cli.parser(), bench.accuracy.parser(), bench.oracle.parser()]
+    parsers += commands.choices.values()
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
 
@@ -168,7 +172,8 @@ def test_the_reference_names_everything_public():
 
 def test_the_reference_names_every_field_of_the_benchmark_and_every_counter():
     spans = set(code_spans(ROOT / "docs" / "reference.md"))
-    for kind in (bench.cli.Row, spdz.Stats):
+    rows = (bench.cli.Row, bench.accuracy.AccuracyRow, bench.oracle.OracleRow)
+    for kind in (*rows, bench.recorded_accuracy.RecordedRow, spdz.Stats):
         assert {field.name for field in dataclasses.fields(kind)} <= spans
 
 
