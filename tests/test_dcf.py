@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 from hypothesis import given, settings
@@ -17,6 +18,14 @@ from spdz.types import Block, FieldArray
 
 TOP = 1 << 127
 HEADER = 16
+
+
+@pytest.fixture(params=[1, 2, 4], ids=["binary", "radix 4", "radix 16"], autouse=True)
+def digit_bits(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """All batches, whatever their size, in each of the trees."""
+    width: int = request.param
+    monkeypatch.setattr("spdz.dcf.format.WIDE_DIGITS", {10**9: width} if width > 1 else {})
+    return width
 
 
 def words(numbers: list[int]) -> Block:
@@ -74,7 +83,7 @@ def test_every_threshold_and_every_point_of_a_small_domain(bits: int, w: int) ->
     assert deal.sum_at(points) == deal.expected_at(points)
 
 
-@pytest.mark.parametrize("bits", [7, 63, 64, 65, 78, 80, 126, 127])
+@pytest.mark.parametrize("bits", [7, 63, 64, 65, 66, 68, 69, 78, 81, 126, 127])
 def test_points_next_to_the_threshold_and_at_the_ends(bits: int) -> None:
     last = (1 << bits) - 1
     for a in (0, 1, last, last - 1, last // 2, last // 2 + 1, min(last, (1 << 64) - 1), last // 3):
@@ -185,7 +194,7 @@ def test_grids_across_the_chunk_boundary(n: int, k: int) -> None:
 def test_a_grid_of_points_is_walked_in_tiles_of_bounded_size() -> None:
     for n, k in [(1, 5000), (5000, 1), (3, 700), (700, 3), (1025, 1025), (2, 1024), (8192, 140)]:
         covered = np.zeros((n, k), dtype=np.int64)
-        for keys, points in tiles(n, k):
+        for keys, points in tiles(n, k, 1024):
             covered[keys, points] += 1
             assert covered[keys, points].size <= 1024
         assert np.all(covered == 1)
@@ -194,74 +203,127 @@ def test_a_grid_of_points_is_walked_in_tiles_of_bounded_size() -> None:
 # -- an independent evaluator of the key format on Python integers ------------------------------------
 
 
-def slow_evaluate(
-    party: int, roots: list[int], key: bytes, points: list[int], bits: int, w: int
-) -> list[list[int]]:
-    n = len(roots)
-    blocks = [int.from_bytes(key[i : i + 16], "little") for i in range(0, len(key), 16)]
-    label = b"spdz prf v1: fixed AES key" + blocks[0].to_bytes(4, "little")
-    cipher = Cipher(algorithms.AES(hashlib.sha256(label).digest()[:16]), modes.ECB()).encryptor()
-    seed_cw, payload_cw = blocks[1 : 1 + bits * n], blocks[1 + bits * n :]
+class SlowKey:
+    """A key's blocks as integers, and the walk down either kind of tree."""
 
-    def hashed(x: int) -> int:
-        return int.from_bytes(cipher.update(x.to_bytes(16, "little")), "little") ^ x
+    def __init__(self, key: bytes, n: int, bits: int, w: int, digit_bits: int) -> None:
+        blocks = [int.from_bytes(key[i : i + 16], "little") for i in range(0, len(key), 16)]
+        label = b"spdz prf v1: fixed AES key" + blocks[0].to_bytes(4, "little")
+        self.cipher = Cipher(algorithms.AES(hashlib.sha256(label).digest()[:16]), modes.ECB()).encryptor()
+        self.blocks, self.n, self.bits, self.w, self.digit_bits = blocks[1:], n, bits, w, digit_bits
 
-    result = []
-    for k in range(n):
-        state, sums = roots[k] % TOP + party * TOP, [0] * w
+    def hashed(self, x: int) -> int:
+        return int.from_bytes(self.cipher.update(x.to_bytes(16, "little")), "little") ^ x
+
+    def path(self, party: int, root: int, k: int, x: int) -> list[tuple[int, list[int]]]:
+        """The states on the path of x under key k, each with its corrected payload blocks."""
+        walk = self.binary_path if self.digit_bits == 1 else self.radix_path
+        return walk(party, root, k, x)
+
+    def binary_path(self, party: int, root: int, k: int, x: int) -> list[tuple[int, list[int]]]:
+        n, bits, w = self.n, self.bits, self.w
+        seed_cw, payload_cw = self.blocks[: bits * n], self.blocks[bits * n :]
+        assert len(payload_cw) == (bits + 1) * w * n
+        state, nodes = root % TOP + party * TOP, []
         for i in range(bits + 1):
             t = state // TOP
             correction = [payload_cw[(i * w + j) * n + k] for j in range(w)]
-            for j in range(w):
-                sums[j] += hashed(state ^ 2 * j) ^ t * correction[j]
+            nodes.append((state, [self.hashed(state ^ 2 * j) ^ t * correction[j] for j in range(w)]))
             if i < bits:
-                right = points[k] >> (bits - 1 - i) & 1
+                right = x >> (bits - 1 - i) & 1
                 control = seed_cw[i * n + k] // TOP ^ right & correction[0] // TOP
-                child = hashed(state ^ (1 + (right << 63)))
+                child = self.hashed(state ^ (1 + (right << 63)))
                 state = child ^ t * (seed_cw[i * n + k] % TOP + control * TOP)
-        result.append([(-value if party else value) % P for value in sums])
-    return result
+        return nodes
+
+    def radix_path(self, party: int, root: int, k: int, x: int) -> list[tuple[int, list[int]]]:
+        n, w, radix = self.n, self.w, 1 << self.digit_bits
+        levels = -(-self.bits // self.digit_bits)
+        child_cw, payload_cw = (
+            self.blocks[: (levels - 1) * n * radix],
+            self.blocks[(levels - 1) * n * radix :],
+        )
+        assert len(payload_cw) == w * levels * n * radix
+        controls = TOP | 1 << 63
+        state, nodes = root & ~controls | party * controls, []
+        for i in range(levels):
+            digit = x >> self.digit_bits * (levels - 1 - i) & radix - 1
+            low, high = state >> 63 & 1, state >> 127
+            payload = [
+                self.hashed(state ^ digit ^ (j + 1) << 8)
+                ^ high * payload_cw[((j * levels + i) * n + k) * radix + digit]
+                for j in range(w)
+            ]
+            nodes.append((state, payload))
+            if i < levels - 1:
+                correction = child_cw[(i * n + k) * radix + digit]
+                half = (1 << 64) - 1
+                state = self.hashed(state ^ digit) ^ (correction & half) * low ^ (correction & ~half) * high
+        return nodes
+
+
+def integers(blocks: Block) -> list[int]:
+    return [low | high << 64 for low, high in blocks.tolist()]
 
 
 @pytest.mark.parametrize(("bits", "w"), [(1, 1), (5, 2), (64, 1), (78, 2), (127, 3)])
-def test_each_share_equals_the_integer_reference(bits: int, w: int) -> None:
+def test_each_share_equals_the_integer_reference(bits: int, w: int, digit_bits: int) -> None:
     last = (1 << bits) - 1
     thresholds = [last // 3, last, 0]
     deal = Deal(thresholds, bits, w, seed=bits)
+    slow = SlowKey(deal.key, deal.n, bits, w, digit_bits)
     for points in (thresholds, [0, last, last // 2]):
         for party in (0, 1):
-            roots = [low | high << 64 for low, high in deal.roots[party].tolist()]
             fast = dcf.evaluate(party, deal.roots[party], deal.key, words(points), bits, w)
-            assert field.to_ints(fast).tolist() == slow_evaluate(party, roots, deal.key, points, bits, w)
+            for k, root in enumerate(integers(deal.roots[party])):
+                payload = [blocks for _, blocks in slow.path(party, root, k, points[k])]
+                sums = [sum(column) * (-1) ** party % P for column in zip(*payload, strict=True)]
+                assert field.to_ints(fast[k]).tolist() == sums
 
 
 # -- what keys hide, and what breaks them --------------------------------------------------------------
 
 
-def test_a_flipped_bit_on_the_path_is_used_by_exactly_one_party() -> None:
-    bits, w, a = 12, 2, 0b101100111000
+def on_path(a: int, bits: int, w: int, digit_bits: int) -> list[bool]:
+    """Which blocks of one key are used at x = a."""
+    if digit_bits == 1:
+        return [True] * (bits + w * (bits + 1))
+    levels, radix = -(-bits // digit_bits), 1 << digit_bits
+    digits = [a >> digit_bits * (levels - 1 - i) & radix - 1 for i in range(levels)]
+    used = [digit == d for digit in digits for d in range(radix)]
+    return used[:-radix] + used * w
+
+
+@pytest.mark.parametrize("bits", [11, 12])
+def test_a_flipped_bit_on_the_path_is_used_by_exactly_one_party(bits: int, digit_bits: int) -> None:
+    w, a = 2, 0b10110011000
     deal = Deal([a], bits, w)
     honest = deal.expected_at([a])
     rng = np.random.default_rng(5)
-    for block in range(HEADER // 16, len(deal.key) // 16):
-        # Below the top byte: a seed's flip reaches the leaf's payload, a payload word's its node's.
+    expected_changes = on_path(a, bits, w, digit_bits)
+    assert len(expected_changes) == len(deal.key) // 16 - 1
+    for block, used in enumerate(expected_changes):
+        # Below the top byte: a seed's flip reaches the last payload, a payload word's its node's.
         damaged = bytearray(deal.key)
-        damaged[16 * block + int(rng.integers(15))] ^= 1 << int(rng.integers(8))
+        damaged[HEADER + 16 * block + int(rng.integers(15))] ^= 1 << int(rng.integers(8))
         changed = [
             deal.sum_at([a], keys) != honest
             for keys in ((bytes(damaged), deal.key), (deal.key, bytes(damaged)))
         ]
-        assert sorted(changed) == [False, True], block
+        assert sorted(changed) == [False, used], block
 
 
-def test_a_flipped_control_bit_changes_the_sum() -> None:
+def test_a_flipped_control_bit_changes_the_sum(digit_bits: int) -> None:
     bits, a = 12, 0b101100111000
     deal = Deal([a], bits, 1)
-    for level in range(bits):
-        damaged = bytearray(deal.key)
-        damaged[HEADER + 16 * level + 15] ^= 0x80
-        keys = (bytes(damaged), deal.key), (deal.key, bytes(damaged))
-        assert sum(deal.sum_at([a], pair) != deal.expected_at([a]) for pair in keys) == 1
+    children = bits if digit_bits == 1 else (bits // digit_bits - 1) << digit_bits
+    used = on_path(a, bits, 1, digit_bits)[:children]
+    for block in (k for k, is_used in enumerate(used) if is_used):
+        for byte in [15] if digit_bits == 1 else [7, 15]:
+            damaged = bytearray(deal.key)
+            damaged[HEADER + 16 * block + byte] ^= 0x80
+            keys = (bytes(damaged), deal.key), (deal.key, bytes(damaged))
+            assert sum(deal.sum_at([a], pair) != deal.expected_at([a]) for pair in keys) == 1
 
 
 def test_a_damaged_hash_index_is_refused_or_changes_the_sum() -> None:
@@ -283,22 +345,79 @@ def test_the_wrong_root_changes_the_sum() -> None:
     assert deal.sum_at([5]) != deal.expected_at([5])
 
 
-def test_the_top_bit_of_a_root_is_not_used() -> None:
+def test_the_places_of_the_control_bits_in_a_root_are_not_used(digit_bits: int) -> None:
     deal = Deal([77], 7, 1)
     for roots in deal.roots:
-        roots[:, 1] ^= np.uint64(1 << 63)
+        roots[:, 0 if digit_bits > 1 else 1 :] ^= np.uint64(1 << 63)
     assert deal.sum_at([5]) == deal.expected_at([5])
 
 
-def test_keys_of_two_thresholds_differ_in_about_half_of_all_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_of_two_thresholds_differ_in_about_half_of_all_bits(
+    monkeypatch: pytest.MonkeyPatch, digit_bits: int
+) -> None:
     monkeypatch.setattr("spdz.dcf.dealing.secrets.randbits", lambda bits: 1)
     n, bits = 64, 40
     ones = np.frombuffer(Deal([(1 << bits) - 1] * n, bits, 2).key, dtype=np.uint8)[HEADER:]
-    zeros = np.frombuffer(Deal([0] * n, bits, 2).key, dtype=np.uint8)[HEADER:]
+    # With the same roots, digits that neither number has would be corrected alike in trees of radix 4 and 16.
+    zeros = np.frombuffer(Deal([0] * n, bits, 2, seed=int(digit_bits > 1)).key, dtype=np.uint8)[HEADER:]
     for key in (ones, zeros, ones ^ zeros):
-        by_level = np.unpackbits(key).reshape(-1, n * 128).mean(axis=1)
-        # Rows of 64 words. At the leaf the top bit is 0 by definition, 1 bit in 128.
-        assert np.all(np.abs(by_level - 0.5) < 0.05)
+        rows = np.unpackbits(key).reshape(-1, n * 128).mean(axis=1)
+        # Rows of 64 words. At the binary leaf the top bit is 0 by definition, 1 bit in 128.
+        assert np.all(np.abs(rows - 0.5) < 0.05)
+
+
+def bit_means(blocks: list[int]) -> npt.NDArray[np.float64]:
+    """How often each of the 128 bits is set; the standard deviation is 0.5 / sqrt(len(blocks))."""
+    bits = np.unpackbits(words(blocks).copy().view(np.uint8).reshape(-1, 16), axis=1, bitorder="little")
+    return np.asarray(bits.mean(axis=0))
+
+
+@pytest.mark.parametrize("bits", [3, 8])
+def test_on_the_path_states_and_corrected_payload_look_uniform_to_each_party(
+    bits: int, digit_bits: int
+) -> None:
+    # Else a party would know that it is on the path.
+    n, w = 400, 2
+    for a in (0, 5):
+        deal = Deal([a] * n, bits, w)
+        slow = SlowKey(deal.key, n, bits, w, digit_bits)
+        roots = [integers(deal.roots[party]) for party in (0, 1)]
+        for x in (a, 6):
+            paths = [[slow.path(party, roots[party][k], k, x) for k in range(n)] for party in (0, 1)]
+            for party in (0, 1):
+                for level in range(len(paths[party][0])):
+                    nodes = [path[level] for path in paths[party]]
+                    binary_leaf = digit_bits == 1 and level == bits
+                    for blocks in zip(*[payload for _, payload in nodes], strict=True):
+                        means = bit_means(list(blocks))[: 127 if binary_leaf else 128]
+                        assert np.all(np.abs(means - 0.5) < 0.15)
+                    if level:
+                        assert np.all(np.abs(bit_means([state for state, _ in nodes]) - 0.5) < 0.15)
+
+
+@pytest.mark.parametrize("bits", [3, 8])
+def test_on_the_path_the_states_of_the_parties_are_independent_but_for_the_control_bits(
+    bits: int, digit_bits: int
+) -> None:
+    n, a = 400, 5
+    deal = Deal([a] * n, bits, 1)
+    slow = SlowKey(deal.key, n, bits, 1, digit_bits)
+    roots = [integers(deal.roots[party]) for party in (0, 1)]
+    paths = [[slow.path(party, roots[party][k], k, a) for k in range(n)] for party in (0, 1)]
+    controls = [127] if digit_bits == 1 else [63, 127]
+    for level in range(len(paths[0][0])):
+        pairs = zip(*[[path[level][0] for path in party] for party in paths], strict=True)
+        means = bit_means([one ^ other for one, other in pairs])
+        assert np.all(means[controls] == 1)
+        assert np.all(np.abs(np.delete(means, controls) - 0.5) < 0.15)
+
+
+def test_off_the_path_the_states_of_the_parties_are_equal(digit_bits: int) -> None:
+    deal = Deal([0b10110110], 8, 1)
+    slow = SlowKey(deal.key, 1, 8, 1, digit_bits)
+    one, other = (slow.path(party, integers(deal.roots[party])[0], 0, 0b10010110) for party in (0, 1))
+    differ = [a != b for (a, _), (b, _) in zip(one, other, strict=True)]
+    assert differ == {1: [True] * 3 + [False] * 6, 2: [True] * 2 + [False] * 2, 4: [True, False]}[digit_bits]
 
 
 def test_single_shares_look_uniform() -> None:
@@ -316,6 +435,23 @@ def test_batches_have_hash_keys_of_their_own() -> None:
 
 
 # -- arguments -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("n", "digits"), [(0, 1), (1, 4), (8, 4), (9, 2), (64, 2), (65, 1), (5000, 1)], ids=str
+)
+def test_the_number_of_keys_tells_which_tree_it_is(
+    n: int, digits: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    bits, w = 21, 2
+    rng = np.random.default_rng(n)
+    thresholds, points = (rng.integers(0, 1 << bits, n).tolist() for _ in range(2))
+    deal = Deal(thresholds, bits, w)
+    assert deal.sum_at(points) == deal.expected_at(points)
+    levels = -(-bits // digits)
+    blocks = bits + w * (bits + 1) if digits == 1 else (levels - 1 + w * levels) << digits
+    assert len(deal.key) == dcf.key_bytes(n, bits, w) == 16 + 16 * n * blocks
 
 
 @pytest.mark.parametrize(("n", "bits", "w"), [(1, 1, 1), (3, 63, 2), (16, 127, 1), (0, 5, 1)])

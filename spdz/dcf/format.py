@@ -13,8 +13,9 @@ from spdz.types import Block, Shape
 
 WORD = np.dtype("<u8")
 INDEX_BITS = 32
-_HEADER = 16
-_CHUNK = 1024  # paths at a time: their seeds on all levels stay in the second-level cache
+HEADER = 16
+# Up to so many keys, so many bits a digit: wider digits save calls and cost bytes (decision 10).
+WIDE_DIGITS = {8: 4, 64: 2}
 _GROUP = 8192  # payload blocks at a time: they and their temporaries stay close to the first level
 TOP = np.uint64(1 << 63)
 # right_shift(int64, 63) spreads the top bit over the word. To a ufunc, a 0-d array costs less than a scalar.
@@ -26,7 +27,35 @@ Words: TypeAlias = npt.NDArray[np.uint64]
 
 def key_bytes(n: int, bits: int, w: int) -> int:
     """Length of the correction words of n keys with w payloads each: a multiple of 16."""
-    return _HEADER + 16 * n * (bits + w * (bits + 1))
+    digit_bits = digit_width(n)
+    if digit_bits == 1:
+        return HEADER + 16 * n * (bits + w * (bits + 1))
+    levels = level_count(bits, digit_bits)
+    return HEADER + 16 * n * (levels - 1 + w * levels << digit_bits)
+
+
+def digit_width(n: int) -> int:
+    """Bits of a digit in a batch of n keys: 4, 2 or 1; 1 is the binary tree."""
+    return next((digit_bits for most, digit_bits in WIDE_DIGITS.items() if 0 < n <= most), 1)
+
+
+def level_count(bits: int, digit_bits: int) -> int:
+    """Digits of a number; the leading digit may have fewer bits."""
+    return -(-bits // digit_bits)
+
+
+def group_size(blocks: int, levels: int) -> int:
+    """How many levels of so many blocks to work on at a time."""
+    return min(levels, max(1, _GROUP // blocks))
+
+
+def base32_sums(blocks: Block, axis: int) -> Words:
+    """Sum 128-bit blocks along an axis: shape S + (2,) to sums in base 2^32, S without the axis + (4,).
+
+    Up to 2^30 blocks: then each sum is below 2^62.
+    """
+    words: Words = np.add.reduce(blocks.view("<u4"), axis=axis, dtype=np.uint64)
+    return words
 
 
 def control_masks(seeds: Block) -> Block:
@@ -37,61 +66,23 @@ def control_masks(seeds: Block) -> Block:
     return masks.view(np.uint64)
 
 
-def payload_tweaks(w: int, n: int) -> Block:
-    """Even numbers, whereas the children's tweaks are odd; shape (w, n, 2) as inner loops of 2 are slow."""
-    tweaks = np.zeros((w, n, 2), dtype=np.uint64)
-    tweaks[..., 0] = np.arange(0, 2 * w, 2, dtype=np.uint64)[:, None]
-    return tweaks
-
-
-def group_size(blocks: int, levels: int) -> int:
-    """How many levels of so many blocks to work on at a time."""
-    return min(levels, max(1, _GROUP // blocks))
-
-
 def hash_in_place(fixed_key_hash: FixedKeyHash, blocks: Block) -> None:
     """Hash every block of an array of any shape."""
     flat = blocks.reshape(-1, 2)
     fixed_key_hash.hash_into(flat, flat)
 
 
-def set_root(party: int, roots: Block, out: Block) -> None:
-    """Copy root seeds with the party's number as the control bit."""
-    out[...] = roots
-    high = out[..., 1]
-    high &= ~TOP
-    high |= TOP * np.uint64(party)
-
-
-def correction_words(key: Words, n: int, bits: int, w: int) -> tuple[Block, Block]:
-    """Views of shape (bits, n, 2) and (bits + 1, w, n, 2)."""
-    words = key[_HEADER // 8 :]
-    split = 2 * bits * n
-    return words[:split].reshape(bits, n, 2), words[split:].reshape(bits + 1, w, n, 2)
-
-
-def top_bits(numbers: Block, bits: int) -> Words:
-    """The bits of n numbers, the most significant first, each as a word's top bit: shape (bits, n)."""
-    result = np.empty((bits, len(numbers)), dtype=np.uint64)
-    shifts = np.arange(64 - bits, 64, dtype=np.int64)[:, None]
-    high = max(bits - 64, 0)
-    np.left_shift(numbers[:, 1], (shifts[:high] + 64).view(np.uint64), out=result[:high])
-    np.left_shift(numbers[:, 0], shifts[high:].view(np.uint64), out=result[high:])
-    result &= TOP
-    return result
-
-
-def chunks(n: int, most: int = _CHUNK) -> Iterator[slice]:
+def chunks(n: int, most: int) -> Iterator[slice]:
     """Nearly equal parts of at most ``most``."""
     size = max(1, -(-n // max(1, -(-n // most))))
     return (slice(start, start + size) for start in range(0, n, size))
 
 
-def tiles(n: int, k: int) -> Iterator[tuple[slice, slice]]:
-    """Keys and points in tiles of at most ``_CHUNK`` paths."""
-    points = list(chunks(k))
+def tiles(n: int, k: int, most: int) -> Iterator[tuple[slice, slice]]:
+    """Keys and points in tiles of at most ``most`` paths."""
+    points = list(chunks(k, most))
     width = points[0].stop if points else 1
-    return ((keys, part) for keys in chunks(n, max(1, _CHUNK // width)) for part in points)
+    return ((keys, part) for keys in chunks(n, max(1, most // width)) for part in points)
 
 
 def check_width(bits: int, w: int) -> None:
@@ -112,6 +103,7 @@ def check_blocks(name: str, blocks: Block, shape: Shape) -> None:
 def check_domain(name: str, numbers: Block, shape: Shape, bits: int) -> None:
     """Refuse numbers that are not below 2^bits."""
     check_blocks(name, numbers, shape)
-    low, high = (int(numbers[..., word].max(initial=0)) for word in (0, 1))
+    # The OR of all numbers has a bit at or above 2^bits if and only if one of them has.
+    low, high = (int(np.bitwise_or.reduce(numbers[..., word], axis=None)) for word in (0, 1))
     if high >> max(bits - 64, 0) or low >> bits:
         raise ValueError(f"{name} must be below 2^{bits}")
