@@ -53,10 +53,12 @@ class Power:
     Attributes:
         mantissa: Shared; between 0.9 and 2.2, or 0. Cut it with :func:`spdz.truncate` before multiplying.
         scale: Masked; a power of two, or 0.
+        unscale: Masked; 1 / scale, or 0. Only where it was asked for.
     """
 
     mantissa: Value
     scale: Value
+    unscale: Value | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,7 @@ class _Power(Gate):
 
     alpha: Fraction
     signed: bool
+    unscale: bool
 
     async def deal(self, recipe: Recipe, u: Value) -> Power:
         """Steps 1 and 2."""
@@ -75,18 +78,17 @@ class _Power(Gate):
         return await self._compose(u)
 
     async def _compose(self, u: Value) -> Power:
-        pieces, coefficients = _tables(self.alpha, u.bound.entry, u.frac, self.signed)
+        pieces, coefficients = _tables(self, u.bound.entry, u.frac)
         (u,) = await mask(u)
-        deviation, mantissa, scale = piecewise(u, pieces)
-        deviation, mantissa, scale = await mask(deviation, mantissa, scale)
+        deviation, mantissa, *scales = await mask(*piecewise(u, pieces))
         (t,) = await truncate(deviation, frac=T_BITS)
         largest = 9 << (MANTISSA_BITS + FINE_BITS - 2)
-        return Power(polynomial(mantissa, t, coefficients, FINE_BITS, largest), scale)
+        return Power(polynomial(mantissa, t, coefficients, FINE_BITS, largest), *scales)
 
     async def clear(self, engine: ClearText, u: Value) -> Power:
         """The scale of the segment, and the mantissa that makes the product right."""
-        pieces, _ = _tables(self.alpha, u.bound.entry, u.frac, self.signed)
-        _, mantissa, scale = piecewise(u, pieces)
+        pieces, _ = _tables(self, u.bound.entry, u.frac)
+        _, mantissa, scale, *unscale = piecewise(u, pieces)
         bits = MANTISSA_BITS + FINE_BITS
         raw = [int(one) for one in np.asarray(u.parts[0]).flat]
         scales = [int(one) for one in np.asarray(scale.parts[0]).flat]
@@ -95,7 +97,7 @@ class _Power(Gate):
             for one, power in zip(raw, scales, strict=True)
         ]
         result = np.array(exact, dtype=object).reshape(u.shape)
-        return Power(engine.value(result, bits, mantissa.bound.scaled(2 << FINE_BITS)), scale)
+        return Power(engine.value(result, bits, mantissa.bound.scaled(2 << FINE_BITS)), scale, *unscale)
 
 
 def _mantissa(alpha: Fraction, u: int, frac: int, scale: int, scale_frac: int) -> int:
@@ -106,13 +108,16 @@ def _mantissa(alpha: Fraction, u: int, frac: int, scale: int, scale_frac: int) -
 
 
 @lru_cache(maxsize=64)
-def _tables(alpha: Fraction, largest: int, frac: int, signed: bool) -> tuple[Pieces, tuple[int, ...]]:
+def _tables(what: _Power, largest: int, frac: int) -> tuple[Pieces, tuple[int, ...]]:
     """The functions of step 1 on a raw integer u with so many fractional bits, and p of step 2."""
-    known = table(alpha, max(largest, 1))
+    known = table(what.alpha, max(largest, 1))
     low, high = known.exponents
-    scale_frac = int(alpha * frac) - low
-    up = max(-scale_frac, 0)
-    starts, constants, slopes, mantissas, scales = zip(*_pieces(known, up - low, signed), strict=True)
+    # scale = 2^(e - alpha frac), and unscale = 2^(alpha frac - e), with as many fractional bits as they need.
+    shift = int(what.alpha * frac)
+    bits, unbits = max(shift - low, 0), max(high - shift, 0)
+    starts, constants, slopes, mantissas, exponents, signs = zip(*_pieces(known, what.signed), strict=True)
+    scales = tuple(sign << (e - shift + bits) for e, sign in zip(exponents, signs, strict=True))
+    unscales = tuple(sign << (shift - e + unbits) for e, sign in zip(exponents, signs, strict=True))
     flat = (0,) * len(starts)
     length = known.length
     largest_deviation = ceil(known.deviation * (1 << length))
@@ -120,7 +125,8 @@ def _tables(alpha: Fraction, largest: int, frac: int, signed: bool) -> tuple[Pie
         starts[1:],
         Function(_jumps(constants), _jumps(slopes), length, largest_deviation),
         Function(_jumps(mantissas), flat, MANTISSA_BITS, 2 << MANTISSA_BITS),
-        Function(_jumps(scales), flat, scale_frac + up, 1 << (high - low + up)),
+        Function(_jumps(scales), flat, bits, 1 << (high - shift + bits)),
+        *([Function(_jumps(unscales), flat, unbits, 1 << (shift - low + unbits))] if what.unscale else []),
     )
     coefficients = tuple(
         round(known.coefficients[k] * (1 << FINE_BITS) / (1 << (T_BITS * k))) for k in range(DEGREE + 1)
@@ -133,28 +139,29 @@ def _jumps(column: tuple[int, ...]) -> tuple[int, ...]:
     return column[0], *(b - a for a, b in pairwise(column))
 
 
-def _pieces(known: Table, shift: int, signed: bool) -> list[tuple[int, int, int, int, int]]:
-    """(start, constant and slope of M, mu, scale) of every piece; the first one reaches down without end."""
+def _pieces(known: Table, signed: bool) -> list[tuple[int, int, int, int, int, int]]:
+    """(start, constant and slope of M, mu, e, sign) of every piece; the first reaches down without end."""
 
-    def piece(start: int, segment: Segment, sign: int) -> tuple[int, int, int, int, int]:
-        scale = sign << (segment.exponent + shift)
-        return start, -1 << known.length, sign * segment.reciprocal, segment.mantissa, scale
+    def piece(start: int, segment: Segment, sign: int) -> tuple[int, int, int, int, int, int]:
+        slope = sign * segment.reciprocal
+        return start, -1 << known.length, slope, segment.mantissa, segment.exponent, sign
 
     upward = [piece(segment.start, segment, 1) for segment in known.segments]
     downward = []
     if signed:
         ends = [segment.start - 1 for segment in known.segments[1:]] + [known.segments[-1].start]
         downward = [piece(-end, segment, -1) for end, segment in zip(ends, known.segments, strict=True)][::-1]
-    return [*downward, (0, 0, 0, 0, 0), *upward]
+    return [*downward, (0, 0, 0, 0, known.segments[0].exponent, 0), *upward]
 
 
-async def power(*values: Value, alpha: Fraction, signed: bool = False) -> list[Power]:
+async def power(*values: Value, alpha: Fraction, signed: bool = False, unscale: bool = False) -> list[Power]:
     """u^alpha, elementwise, as mantissa times scale; two rounds for all values.
 
     Args:
         values: Values u of any shapes. A tighter bound makes keys and tables smaller.
         alpha: 1/2, -1/2 or -1.
         signed: Whether negative u count (for alpha = -1); else the result is 0 for them.
+        unscale: Whether the reciprocals of the scales are wanted as well.
 
     Returns:
         Mantissa and scale of each; both 0 where u is 0.
@@ -162,9 +169,9 @@ async def power(*values: Value, alpha: Fraction, signed: bool = False) -> list[P
     flat = concatenate(*(u.reshape(-1) for u in values)) if len(values) > 1 else values[0]
     if (alpha * flat.frac).denominator != 1:
         flat = flat.rescaled(flat.frac + 1)
-    powers: Power = await flat.engine.read(_Power(alpha, signed), flat)
+    powers: Power = await flat.engine.read(_Power(alpha, signed, unscale), flat)
     if len(values) == 1:
         return [powers]
-    shapes = [u.shape for u in values]
-    pairs = zip(split(powers.mantissa, shapes), split(powers.scale, shapes), strict=True)
-    return [Power(mantissa, scale) for mantissa, scale in pairs]
+    known = [part for part in (powers.mantissa, powers.scale, powers.unscale) if part is not None]
+    pieces = zip(*(split(part, [u.shape for u in values]) for part in known), strict=True)
+    return [Power(*piece) for piece in pieces]
