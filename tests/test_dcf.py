@@ -108,7 +108,7 @@ def test_shares_add_up_to_the_payload_below_the_threshold(
     assert deal.sum_at(points) == deal.expected_at(points)
 
 
-@pytest.mark.parametrize("n", [0, 1, 1023, 1024, 1025, 2049, 2500])
+@pytest.mark.parametrize("n", [0, 1, 819, 820, 1639, 2047, 2048, 2049, 4500])
 def test_batches_across_the_chunk_boundary(n: int) -> None:
     rng = np.random.default_rng(n)
     thresholds, points = (rng.integers(0, 1 << 20, n).tolist() for _ in range(2))
@@ -177,7 +177,7 @@ def test_many_points_per_key_equal_as_many_single_evaluations(n: int, k: int, bi
 
 
 @pytest.mark.parametrize(
-    ("n", "k"), [(1, 1023), (1, 1025), (2, 2500), (40, 50), (1030, 2), (3, 700), (0, 3), (2, 0)]
+    ("n", "k"), [(1, 2047), (1, 2049), (2, 5000), (40, 60), (2050, 2), (3, 1400), (0, 3), (2, 0)]
 )
 def test_grids_across_the_chunk_boundary(n: int, k: int) -> None:
     rng = np.random.default_rng(n)
