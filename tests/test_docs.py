@@ -24,7 +24,7 @@ from spdz import errors
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
-WITH_EXAMPLES = [ROOT / "README.md", ROOT / "docs" / "tutorial.md", ROOT / "docs" / "how-to.md"]
+WITH_EXAMPLES = [ROOT / "README.md", *(ROOT / "docs" / f"{p}.md" for p in ("tutorial", "how-to", "scores"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FOREIGN_OPTIONS = {"--help", "--version"}
 ERRORS = [key for key, item in vars(errors).items() if isinstance(item, type)]
