@@ -75,4 +75,4 @@ def edges(bound, unit=1):
     """Integers that matter within a bound: its ends, zero, powers of two, and all their neighbours."""
     corners = {0, unit, bound, bound - unit, *(1 << k for k in range(0, bound.bit_length(), 7))}
     around = {corner + step for corner in corners for step in (-1, 0, 1)}
-    return integers(*sorted(z for one in around for z in (one, -one) if abs(z) <= bound))
+    return integers(*sorted({z for one in around for z in (one, -one) if abs(z) <= bound}))
