@@ -308,7 +308,7 @@ def test_a_polynomial_needs_masked_values_of_one_shape():
 
 
 def test_other_coefficients_are_another_program():
-    """They weigh public numbers: what is stored depends on the degree alone, but the text tells them apart."""
+    """What is stored depends on the degree alone, but the text tells them apart."""
 
     def program(coefficients):
         async def run(engine, x, y):
