@@ -1,16 +1,19 @@
 """How long an input's mask is, and how a short one travels.
 
 A long mask is uniform on F_p: 127 bits, perfectly hiding, 16 bytes a coordinate. The semi-honest mode may
-use a short one, ``x + s`` with s uniform on [0, 2^63), 8 bytes a coordinate: for a vector x the sum is within
-|x|_1 / 2^63 <= sqrt(N) |x|_2 / 2^63 of independent of x, and short masks are used only where the public bound
-makes that at most 2^-40. In the malicious mode they are never used: a cheater's out-of-range vector would
-show through.
+use a short one, ``x + s`` with s uniform on [0, 2^63), 8 bytes a coordinate: the sum is within |x|_1 / 2^63
+of independent of x, where a vector's |x|_1 <= sqrt(N) |x|_2. Short masks are used only where the public
+bounds of all vectors of an input together make that at most 2^-40, and never in the malicious mode: a
+cheater's out-of-range vector would show through.
 
 In the field a short mask is ``r = -(s + base)``. The bases of the two parties are far apart, so that the
-masks of an input and of a difference of the two inputs never wrap, and both can be compared in place.
+masks of an input and of a difference of the two inputs never wrap, and both can be compared in place. (A
+difference within one vector wraps with a probability below 2^-40, and the dealer notices.)
 """
 
 from __future__ import annotations
+
+from math import prod
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +32,8 @@ _ONES, _LOW63 = np.uint64((1 << 64) - 1), (1 << 63) - 1
 
 def bits(shape: Shape, norm: int, *, malicious: bool) -> int:
     """Bits of the mask of an input of this shape with L2 norms of at most ``norm`` (raw units)."""
-    short = not malicious and 0 < root(shape[-1]) * norm <= 1 << (SHORT - _HIDING_BITS)
+    largest_l1 = prod(shape[:-1]) * root(shape[-1]) * norm
+    short = not malicious and 0 < largest_l1 <= 1 << (SHORT - _HIDING_BITS)
     return SHORT if short else LONG
 
 

@@ -112,7 +112,7 @@ class Value:
         if isinstance(factor, Value):
             raise TypeError("use spdz.multiply or spdz.dot for the product of two secret values")
         numbers = np.asarray(factor)
-        exact = numbers.dtype.kind in "iu"
+        exact = isinstance(factor, int) or numbers.dtype.kind in "iu"
         raw = _raw(factor, 0 if exact else FRACTION_BITS)
         shape = np.broadcast_shapes(self.shape, numbers.shape)
         bound = self.bound.broadcast(self.shape, shape).scaled(_largest(raw))
@@ -122,6 +122,8 @@ class Value:
             bound,
         )
         scaled.frac = self.frac + (0 if exact else FRACTION_BITS)
+        if not np.all(raw):
+            scaled.mask_bits = 0  # where a factor is 0, so is the mask
         return scaled
 
     __rmul__ = __mul__

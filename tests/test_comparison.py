@@ -243,7 +243,6 @@ def test_only_a_comparison_is_a_bit(security):
         assert (value.dtype == np.bool_) is (gate is nonnegative)
 
 
-@pytest.mark.xfail(strict=True, reason="where masks cancel, the integers behind them wrap")
 @pytest.mark.parametrize("security", SECURITIES)
 def test_the_sign_of_nothing_is_zero_or_refused(security):
     async def difference(engine, x, y):

@@ -289,7 +289,6 @@ def test_polynomials_of_any_number_of_entries(size, security):
     assert np.array_equal(value, w * (5 - 3 * y + 2 * y**3))
 
 
-@pytest.mark.xfail(strict=True, reason="an input's mask has no share at the peer")
 @pytest.mark.parametrize("security", SECURITIES)
 def test_a_polynomial_of_an_input(security):
     def apply(a, b):

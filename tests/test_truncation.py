@@ -250,7 +250,6 @@ def test_a_value_with_no_bit_to_cut_is_returned():
             assert run_gate(gate, 5, bound=9, frac=0, security=security).value == 5
 
 
-@pytest.mark.xfail(strict=True, reason="where masks cancel, the integers behind them wrap")
 @pytest.mark.parametrize("security", SECURITIES)
 @pytest.mark.parametrize("gate", [cut, rounded])
 def test_a_value_from_which_itself_was_subtracted_is_cut_or_refused(gate, security):

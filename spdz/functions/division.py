@@ -29,7 +29,7 @@ async def reciprocal(u: Value, *, positive: bool = False) -> Value:
 
 
 async def divide(x: Value, y: Value, *, largest: float, frac: int = 24, positive: bool = False) -> Value:
-    """``x / y``, elementwise with broadcasting; four rounds, error below 2^-16 of the result or 2^-frac.
+    """``x / y``, elementwise with broadcasting; four rounds, error below 2^-16 of the result plus 2^-frac.
 
     Args:
         x: Dividend.
@@ -43,6 +43,10 @@ async def divide(x: Value, y: Value, *, largest: float, frac: int = 24, positive
     """
     (inverse,), (x,) = await parallel(power(y, alpha=Fraction(-1), signed=not positive), mask(x))
     quotient = multiply(x, inverse.scale, entry=1.25 * largest)
-    mantissa, quotient = await truncate(inverse.mantissa, quotient, frac=RESULT_BITS + 2)
+    bits = frac + 3  # the mantissa is below 2.2: an error of less than one unit of the result
+    (mantissa,), (quotient,) = await parallel(
+        truncate(inverse.mantissa, frac=RESULT_BITS),
+        truncate(quotient.rescaled(max(quotient.frac, bits)), frac=bits),
+    )
     (result,) = await truncate(multiply(mantissa, quotient, entry=1.01 * largest), frac=frac)
     return result

@@ -166,6 +166,8 @@ async def power(*values: Value, alpha: Fraction, signed: bool = False, unscale: 
     Returns:
         Mantissa and scale of each; both 0 where u is 0.
     """
+    if alpha not in (Fraction(1, 2), Fraction(-1, 2), Fraction(-1)):
+        raise ValueError(f"a power must be 1/2, -1/2 or -1, not {alpha}")
     flat = concatenate(*(u.reshape(-1) for u in values)) if len(values) > 1 else values[0]
     if (alpha * flat.frac).denominator != 1:
         flat = flat.rescaled(flat.frac + 1)

@@ -43,7 +43,10 @@ async def _refined_sqrt(u: Value) -> Value:
     (root,) = await power(u, alpha=Fraction(-1, 2), unscale=True)
     assert root.unscale is not None
     normalised = multiply(u, root.scale, root.scale, entry=1.3)
-    (m,), (h,) = await parallel(truncate(root.mantissa, frac=RESULT_BITS), truncate(normalised, frac=_H_BITS))
+    (m,), (h,) = await parallel(
+        truncate(root.mantissa, frac=RESULT_BITS),
+        truncate(normalised.rescaled(max(normalised.frac, _H_BITS)), frac=_H_BITS),
+    )
     product, q = await truncate(multiply(h, m, entry=1.2), multiply(h, m, m, entry=1.1), frac=_Q_BITS)
     doubled = multiply(product, 3 - q, entry=2.5)
     doubled.frac += 1  # and so halved

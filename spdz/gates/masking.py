@@ -41,12 +41,32 @@ def signed_bits(bound: int) -> int:
 
 
 def integer_mask(r: FieldArray, bits: int) -> FieldArray:
-    """The rho of a mask r: for ``<z> = (c, r)``, ``c = z + 2^(bits-1) + rho`` as integers.
-
-    True for every masked value, except with probability 2^(bits - mask_bits) over the mask
-    (never, where the mask was made for that many bits).
-    """
+    """The rho of a mask r: for ``<z> = (c, r)``, ``c = z + 2^(bits-1) + rho`` as integers, unless c wraps."""
     return field.neg(field.add(r, field.from_int(1 << (bits - 1))))
+
+
+def dealt_integer_mask(r: FieldArray, bits: int) -> FieldArray:
+    """:func:`integer_mask` at the dealer, who sees whether c could wrap.
+
+    A mask with all its bits wraps with probability 2^(bits-127). Where masks cancel (a value from which
+    itself, or its own truncation, was subtracted; a factor of 0) c can wrap always.
+
+    Raises:
+        ValueError: if it could wrap for some z in range.
+    """
+    rho = integer_mask(r, bits)
+    # p - rho is the complement of 127 bits.
+    room = rho ^ np.array([(1 << 64) - 1, (1 << 63) - 1], dtype=np.uint64)
+    word, offset = divmod(bits, 64)
+    above = room[..., word] >> np.uint64(offset)
+    if word == 0:
+        above = above | room[..., 1]
+    if not above.all():
+        raise ValueError(
+            "a comparison or truncation is asked for where masks cancel (something was subtracted from "
+            "itself or multiplied by 0): mask the value anew, `await spdz.mask(z, fresh=True)`"
+        )
+    return rho
 
 
 def local_bits(z: Value, bound: int | None = None) -> int:
@@ -119,7 +139,7 @@ def _split(ring: Ring, parts: tuple[Any, ...], values: tuple[Value, ...]) -> Ite
         start = stop
 
 
-async def mask(*values: Value) -> list[Value]:
+async def mask(*values: Value, fresh: bool = False) -> list[Value]:
     """Mask computed values, so that they can be multiplied, truncated and compared; one round for all.
 
     A value that is masked already is returned as it is, unless its mask is too short for its range (a
@@ -127,15 +147,16 @@ async def mask(*values: Value) -> list[Value]:
 
     Args:
         values: Values of any shape.
+        fresh: Whether masked values are masked anew as well.
 
     Returns:
         The same numbers as masked values, in order.
     """
-    waiting = [z.engine.shared(z) for z in values if not _ready(z)]
+    waiting = [z.engine.shared(z) for z in values if fresh or not _ready(z)]
     if not waiting:
         return list(values)
-    fresh = iter(await waiting[0].engine.read(Mask(), *waiting))
-    return [z if _ready(z) else next(fresh) for z in values]
+    masked = iter(await waiting[0].engine.read(Mask(), *waiting))
+    return [z if _ready(z) and not fresh else next(masked) for z in values]
 
 
 def _ready(z: Value) -> bool:

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from spdz import dcf, field, inner_product
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
-from spdz.gates.masking import integer_mask, local_bits
+from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits
 from spdz.gates.pieces import HALF, Pieces
 from spdz.gates.truncation import low_bits
 from spdz.types import FieldArray
@@ -62,7 +62,10 @@ class Piecewise(Gate):
             (*shape, width), lambda: field.scale(signs(), HALF), of=(z,), count=(KIND, prod(shape))
         )
         recipe.comparison_key(
-            shape, bits - 1, width, lambda: (low_bits(integer_mask(z.parts[0], bits), bits - 1), signs())
+            shape,
+            bits - 1,
+            width,
+            lambda: (low_bits(dealt_integer_mask(z.parts[0], bits), bits - 1), signs()),
         )
         kind = f"{KIND} of {bits} bits {self.pieces}"
         return [

@@ -65,11 +65,9 @@ class Polynomial(Gate):
         """The sum of the module's docstring, for few entries one after the other."""
         shape, width = y.shape, len(y.parts) - 1
         dealt = party.authenticated((2 * self._degree - 1, *shape), count=(KIND, prod(shape)))
-        columns = [
-            *w.parts,
-            *y.parts,
-            *(row for share in dealt[:width] if share is not None for row in share),
-        ]
+        nothing = field.zeros(shape)  # the share of an input's mask at the peer
+        columns = [nothing if part is None else part for part in (*w.parts, *y.parts)]
+        columns += [row for share in dealt[:width] if share is not None for row in share]
         if prod(shape) <= _FEW:
             entries = zip(*(field.to_list(column) for column in columns), strict=True)
             results = [self._entry(width, *entry) for entry in entries]

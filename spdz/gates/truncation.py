@@ -25,7 +25,7 @@ import numpy as np
 from spdz import dcf, field
 from spdz.bound import Bound, root
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
-from spdz.gates.masking import integer_mask, local_bits, mask
+from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits, mask
 from spdz.types import FieldArray
 from spdz.value import Value
 
@@ -76,7 +76,7 @@ class Truncate(Gate):
         bits, drop = _bits(z, self.drop), self.drop
 
         def make() -> FieldArray:
-            return integer_mask(shifted(integer_mask(z.parts[0], bits), drop), bits - drop)
+            return integer_mask(shifted(dealt_integer_mask(z.parts[0], bits), drop), bits - drop)
 
         return recipe.masked_value(
             f"{KIND} by {drop} of {bits} bits",
@@ -125,7 +125,7 @@ class TruncateExactly(Gate):
         shape = z.shape
 
         def rho() -> FieldArray:
-            return integer_mask(z.parts[0], bits)
+            return dealt_integer_mask(z.parts[0], bits)
 
         recipe.authenticated(shape, lambda: shifted(rho(), drop), of=(z,), count=(EXACT, prod(shape)))
         recipe.comparison_key(shape, drop, 1, lambda: (low_bits(rho(), drop), _ones(shape)))
