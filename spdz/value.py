@@ -268,7 +268,7 @@ def _largest(raw: int | IntArray) -> int:
 def _raw(number: npt.ArrayLike, frac: int) -> Any:
     """Round public numbers to raw integers: a Python int for a scalar, else an int64 array."""
     if isinstance(number, (int, float, np.integer, np.floating)):
-        if not np.isfinite(number):
+        if not isinstance(number, int) and not np.isfinite(number):
             raise ValueError("a public number must be finite")
         return round(Fraction(number.item() if isinstance(number, np.generic) else number) * (1 << frac))
     numbers = np.asarray(number)

@@ -1,4 +1,4 @@
-"""Where the masks of a value cancel, a comparison or truncation in place would wrap: refused, or masked anew."""
+"""Where masks cancel, a comparison or truncation in place would wrap: refused, or masked anew."""
 
 import numpy as np
 import pytest
