@@ -77,7 +77,8 @@ class Limbs:
     values: FloatArray = dataclasses.field(repr=False)
 
 
-Operand: TypeAlias = FieldArray | Limbs
+Operand: TypeAlias = FieldArray | Limbs | list[int]
+"""A vector, or what :func:`prepare` made of one."""
 
 
 def limbs(a: FieldArray) -> Limbs:
@@ -86,8 +87,16 @@ def limbs(a: FieldArray) -> Limbs:
 
 
 def prepare(a: FieldArray) -> Operand:
-    """Split a vector that goes into several products, where splitting pays."""
-    return a if a.ndim == 2 and len(a) <= _FEW else limbs(a)
+    """Convert a vector that goes into several products once: to limbs, or to integers if it is short."""
+    return field.to_list(a) if a.ndim == 2 and len(a) <= _FEW else limbs(a)
+
+
+def _integers(a: Operand) -> list[int] | None:
+    """A single short vector as Python integers."""
+    if isinstance(a, list):
+        return a
+    short = not isinstance(a, Limbs) and a.ndim == 2 and 0 < len(a) <= _FEW
+    return field.to_list(a) if short else None  # type: ignore[arg-type]
 
 
 def dot(a: Operand, b: Operand) -> FieldArray:
@@ -103,9 +112,8 @@ def dot(a: Operand, b: Operand) -> FieldArray:
     Raises:
         ValueError: if the last axes differ or are empty, or S and T do not broadcast.
     """
-    if not isinstance(a, Limbs) and not isinstance(b, Limbs) and a.ndim == b.ndim == 2:
-        if len(a) == len(b) and 0 < len(a) <= _FEW:
-            return field.from_int(sum(map(mul, field.to_list(a), field.to_list(b))))
+    if (left := _integers(a)) is not None and (right := _integers(b)) is not None and len(left) == len(right):
+        return field.from_int(sum(map(mul, left, right)))
     return _contract(_splitter(a), _splitter(b), _fold, _CHUNK)
 
 
@@ -125,8 +133,8 @@ def small_dot(x: IntArray, b: Operand) -> FieldArray:
     Raises:
         ValueError: as :func:`dot`.
     """
-    if not isinstance(b, Limbs) and x.ndim == 1 and b.ndim == 2 and 0 < len(x) == len(b) <= _FEW:
-        return field.from_int(sum(map(mul, x.tolist(), field.to_list(b))))
+    if x.ndim == 1 and (integers := _integers(b)) is not None and len(x) == len(integers):
+        return field.from_int(sum(map(mul, x.tolist(), integers)))
 
     def split(piece: slice) -> FloatArray:
         short = x[..., piece]
@@ -150,6 +158,8 @@ class _Splitter:
 
 
 def _splitter(a: Operand) -> _Splitter:
+    if isinstance(a, list):
+        a = field.from_ints(a)
     if isinstance(a, Limbs):
         values = a.values
         return _Splitter(values.shape[:-2], values.shape[-2], _CHUNK, lambda piece: values[..., piece, :])
