@@ -9,11 +9,13 @@ from pathlib import Path
 
 from dealer.randomness import random_mac_key
 from dealer.recipe import deal_job
+from spdz.channels.frames import MAX_FRAME
 from spdz.meter import measure
 from spdz.prf import job_key, next_chain
 from spdz.program import Program
 from spdz.tape import TapeHeader, TapeWriter
 from spdz.types import Json, Security, Shape
+from spdz.wire import ELEMENT_BYTES
 
 
 def deal_tapes(
@@ -40,8 +42,16 @@ def deal_tapes(
         mission: Hex id of the dealing run; a fresh one if not given.
         description: What error messages and users call the program.
         progress: Called with the number of jobs dealt.
+
+    Raises:
+        ValueError: if one job would need a frame that is too large to be sent.
     """
     plan = measure(program, shapes, security)
+    if (largest := ELEMENT_BYTES * max(plan.elements_sent)) > MAX_FRAME:
+        raise ValueError(
+            f"one job could need frames of {largest >> 20} MB, above the limit of {MAX_FRAME >> 20} MB: deal "
+            "for smaller tiles"
+        )
     mac_key = random_mac_key() if security == "malicious" else None
     chains = [secrets.token_bytes(32), secrets.token_bytes(32)]
     mission, tape = mission or secrets.token_hex(16), secrets.token_hex(16)

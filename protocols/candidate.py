@@ -1,11 +1,11 @@
 """The candidate bit: is the score past the threshold? Nothing else is opened.
 
-For a similarity the bit is ``score >= threshold``, for a distance ``score <= threshold``, decided
-exactly: the threshold is rounded to the score's fixed-point grid in the direction that keeps the
-comparison with the exact score of the quantised descriptors true. The threshold is public and is no
-part of what was dealt: it may change from call to call.
+For a similarity the bit is ``score >= threshold``, for a distance ``score <= threshold``: the threshold is
+rounded to the score's fixed-point grid in the direction that keeps the comparison true. For the exact scores
+(S2, S6, S10) the decision is that of the quantised descriptors' exact score, for the others that of the score
+as computed. The threshold is public and is no part of what was dealt: it may change from call to call.
 
-Cost on top of the score: one opening, one DCF key, one opened bit.
+Cost on top of the score: one DCF key and one opened bit; one more round if the score is not masked yet.
 """
 
 from __future__ import annotations

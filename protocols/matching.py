@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from protocols.catalog import Purpose
 from spdz.errors import ProtocolViolation, TapeExhausted
+from spdz.meter import measure
 from spdz.program import Program, quantise
 from spdz.session import Session
 from spdz.stats import Stats
@@ -25,6 +26,9 @@ from spdz.tape import TapeHeader
 
 _BATCH_BYTES = 2 << 20
 """Tiles share rounds up to about this many bytes of masked descriptors."""
+
+_BATCH_DEALT_BYTES = 64 << 20
+"""... this many dealt bytes, which are read ahead,"""
 
 _BATCH_JOBS = 64
 """... and up to this many jobs, so that one lost batch costs little."""
@@ -96,7 +100,9 @@ def match(
     table = np.zeros((len(own_blocks) * purpose.tile[own_axis], peer_blocks * purpose.tile[peer_axis]), kind)
     stats, done = Stats(), 0
     shape = session.shapes[session.party]
-    batch = max(1, min(_BATCH_JOBS, _BATCH_BYTES // (16 * own.shape[1] * max(purpose.tile))))
+    dealt = max(measure(program, session.shapes, session.header.security).correction_bytes)
+    masked = 16 * own.shape[1] * max(purpose.tile)
+    batch = max(1, min(_BATCH_JOBS, _BATCH_BYTES // masked, _BATCH_DEALT_BYTES // max(dealt, 1)))
     while done < len(grid):
         places = grid[done : done + batch]
         result = session.run_many(program, [own_blocks[i].reshape(shape) for i, _ in places])

@@ -1,9 +1,17 @@
 """The paper's score functions, each written once and read by party, dealer, clear engine and meter.
 
-| ID  | name      | definition                                   |
-|-----|-----------|----------------------------------------------|
-| S6  | L2sq_dist | squared L2 distance                          |
-| S10 | dotprod   | dot product (cosine of unit vectors)         |
+| ID  | name         | definition                                           |
+|-----|--------------|------------------------------------------------------|
+| S1  | L1_dist_bar  | L1 distance of the L1-normalised vectors             |
+| S2  | L1_dist      | L1 distance                                          |
+| S3  | L2_dist_hat  | L2 distance of the L2-normalised vectors             |
+| S4  | L2_dist      | L2 distance                                          |
+| S5  | L2sq_dist_hat| squared L2 distance of the L2-normalised vectors     |
+| S6  | L2sq_dist    | squared L2 distance                                  |
+| S7  | cossim_hat   | dot product of the L2-normalised vectors             |
+| S8  | cossim_2sqrt | x . y / (sqrt(x . x) sqrt(y . y))                    |
+| S9  | cossim_1sqrt | x . y / sqrt((x . x) (y . y)): S8, written otherwise |
+| S10 | dotprod      | dot product (cosine of unit vectors)                 |
 
 Source: Fishberg, Jia, How, "CILC", table "score functions". A score is a program
 (:mod:`spdz.program`): run on its own it opens the score, and :func:`protocols.is_candidate` turns it

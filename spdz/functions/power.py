@@ -52,7 +52,7 @@ class Power:
 
     Attributes:
         mantissa: Shared; between 0.9 and 2.2, or 0. Cut it with :func:`spdz.truncate` before multiplying.
-        scale: Masked; a power of two, or 0.
+        scale: Masked; a power of two (its negative where u is negative), or 0.
         unscale: Masked; 1 / scale, or 0. Only where it was asked for.
     """
 
