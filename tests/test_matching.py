@@ -8,6 +8,8 @@ import pytest
 from session_helpers import run_pair, state_dirs
 
 from dealer.mission import deal_mission
+from dealer.tapes import deal_tapes
+from protocols import matching
 from protocols.catalog import Purpose
 from protocols.matching import match
 from spdz import PeerAborted, TapeExhausted
@@ -159,3 +161,27 @@ def test_the_filling_of_a_border_tile_tells_nothing_new(tmp_path, monkeypatch):
     for result in opened:
         for block in result.value:
             assert set(np.ravel(block)) <= set(np.ravel(first))
+
+
+def test_a_job_too_large_for_a_frame_is_refused_when_it_is_dealt(tmp_path):
+    """The normalised vectors of S7 take more room than its inputs."""
+    purpose = Purpose("S7", 8192, tile=(1500, 1500))
+    with pytest.raises(ValueError, match="smaller tiles"):
+        deal_tapes((tmp_path / "a", tmp_path / "b"), ("a", "b"), purpose.dealt_program, purpose.shapes, 1)
+
+
+def test_batches_are_small_where_keys_are_large(tmp_path, monkeypatch):
+    """As one batch of 64 or in batches of one: the same decisions, in other numbers of rounds."""
+    alice, bob = unit(1, 4), unit(2, 3)
+    results = []
+    for limit in (1 << 40, 1):
+        monkeypatch.setattr(matching, "_BATCH_DEALT_BYTES", limit)
+        folder = tmp_path / str(limit)
+        deal_mission(folder, ["alice", "bob"], Purpose("S2", DIM, max_norm=1.0, tile=(2, 2)), 40, "malicious")
+        paths = folder / "alice" / "bob.tape", folder / "bob" / "alice.tape"
+        first, _ = run_pair(
+            paths, state_dirs(folder), lambda session: match(session, (alice, bob)[session.party], 2.0)
+        )
+        results.append(first)
+    assert np.array_equal(results[0].decisions, results[1].decisions)
+    assert results[1].stats.rounds == 4 * results[0].stats.rounds
