@@ -2,6 +2,7 @@
 
 import secrets
 from bisect import bisect_right
+from functools import partial
 from itertools import accumulate
 
 import numpy as np
@@ -244,12 +245,18 @@ def test_only_a_comparison_is_a_bit(security):
 
 
 @pytest.mark.parametrize("security", SECURITIES)
-def test_the_sign_of_nothing_is_zero_or_refused(security):
-    async def difference(engine, x, y):
-        return await sign(x - x[..., :1])
+@pytest.mark.parametrize(("gate", "meaning"), ONE)
+def test_where_masks_cancel_a_comparison_is_refused_or_masked_anew(gate, meaning, security):
+    """The integers behind such a mask may wrap, whatever its length."""
+    data = [1.0, -2.0, 3.5], [0.0]
 
-    try:
-        value = exactly(difference, [1.0, -2.0, 3.5], [0.0], security).value
-    except ValueError:
-        return
-    assert list(value) == [0, -1, 1]
+    async def program(engine, x, y, fresh=False):
+        z = x - x[..., :1]
+        if fresh:
+            (z,) = await mask(z, fresh=True)
+        return await gate(z)
+
+    with pytest.raises(ValueError, match="masks cancel"):
+        exactly(program, *data, security)
+    value = exactly(partial(program, fresh=True), *data, security).value
+    assert np.array_equal(value, meaning(integers(0, -3, 2.5)))

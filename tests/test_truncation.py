@@ -2,6 +2,7 @@
 
 import secrets
 from fractions import Fraction
+from functools import partial
 from math import floor
 
 import numpy as np
@@ -10,7 +11,7 @@ from gate_helpers import SECURITIES, WIDEST, edges, exactly, integers, run_gate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spdz import dot, multiply, nonnegative, round_exactly, run_local, sign, truncate
+from spdz import dot, mask, multiply, nonnegative, round_exactly, run_local, sign, truncate
 
 FARTHEST = 85
 """The most bits that can go from a fresh mask."""
@@ -252,12 +253,24 @@ def test_a_value_with_no_bit_to_cut_is_returned():
 
 @pytest.mark.parametrize("security", SECURITIES)
 @pytest.mark.parametrize("gate", [cut, rounded])
-def test_a_value_from_which_itself_was_subtracted_is_cut_or_refused(gate, security):
-    async def difference(engine, x, y):
-        return await gate(x - x[..., :1], frac=8)
+def test_where_masks_cancel_a_truncation_is_refused_or_masked_anew(gate, security):
+    """The integers behind such a mask may wrap, whatever its length."""
 
-    try:
-        value = exactly(difference, [1.0, -2.0, 3.5], [0.0], security).value
-    except ValueError:
-        return
-    assert np.array_equal(value, [0, -3, Fraction(5, 2)])
+    async def first_subtracted(x):
+        return x - x[..., :1]
+
+    async def cut_subtracted(x):
+        return x - await cut(x, 8)
+
+    for function, expected in ((first_subtracted, [0, -3, Fraction(5, 2)]), (cut_subtracted, [0, 0, 0])):
+
+        async def program(engine, x, y, fresh=False, function=function):
+            z = await function(x)
+            if fresh:
+                (z,) = await mask(z, fresh=True)
+            return await gate(z, 8)
+
+        data = [1.0, -2.0, 3.5], [0.0]
+        with pytest.raises(ValueError, match="masks cancel"):
+            exactly(program, *data, security)
+        assert np.array_equal(exactly(partial(program, fresh=True), *data, security).value, expected)
