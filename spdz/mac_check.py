@@ -7,7 +7,7 @@ parties have ``sigma_0 + sigma_1 = 0`` everywhere. Steps:
 2. Send ``h_i = H("mac-check", session, check number, transcript, i, k_i)``.
 3. Accept if and only if the peer's message equals the same hash with 1 - i over the *own* k_i.
 
-Cost: one round, 32 bytes, whatever was opened. Security (random-oracle model): a cheat e in an opened
+Cost: one round, 16 bytes, whatever was opened. Security (random-oracle model): a cheat e in an opened
 value passes only if the cheater guesses alpha_i e, one in p; the hash tells it nothing else, so it can
 neither learn alpha from a failed check nor echo our message back (the party number is hashed). sigma
 itself is never sent: ``sigma_0 + sigma_1 = -alpha e`` would tell a cheater alpha. The functionality is
@@ -31,7 +31,8 @@ from spdz.errors import MacCheckFailed
 from spdz.types import Buffer, FieldArray
 
 T = TypeVar("T")
-DIGEST_BYTES = 32
+DIGEST_BYTES = 16
+"""A hash is cut to 128 bits: as hard to guess as alpha, and nobody gains by a collision of its own making."""
 
 
 class MacCheck:
@@ -92,7 +93,7 @@ class MacCheck:
         for opened, mac in self._opened:
             sigma = field.sub(mac, field.scale(opened, self._alpha))
             digest.update((sigma if self._party == 0 else field.neg(sigma)).tobytes())
-        return digest.digest()
+        return digest.digest()[:DIGEST_BYTES]
 
 
 def drive(protocol: Protocol[T], mac_check: MacCheck | None) -> Generator[Exchange, memoryview, T]:
