@@ -8,6 +8,7 @@ elementwise product. Sums of integers are not reduced until they are multiplied 
 from __future__ import annotations
 
 from functools import reduce
+from math import prod
 from typing import TypeAlias
 
 import numpy as np
@@ -30,11 +31,9 @@ def pack(a: Element, shape: Shape) -> FieldArray:
     """As an array of shape S + (2,); single elements are broadcast."""
     if isinstance(a, int):
         a = field.from_int(a)
-    return np.broadcast_to(a, (*shape, 2)) if a.size > 2 or a.ndim > len(shape) + 1 else _filled(a, shape)
-
-
-def _filled(a: FieldArray, shape: Shape) -> FieldArray:
-    return a.reshape((*shape, 2)) if all(n == 1 for n in shape) else np.broadcast_to(a, (*shape, 2))
+    if a.shape[:-1] == shape:
+        return a
+    return a.reshape((*shape, 2)) if a.size == 2 * prod(shape) else np.broadcast_to(a, (*shape, 2))
 
 
 def times(a: Element, b: Element) -> Element:
