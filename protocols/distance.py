@@ -1,6 +1,12 @@
-"""Squared Euclidean distance on masked values."""
+"""Differences and the squared Euclidean distance of masked vectors."""
 
 from spdz import Value, dot
+
+
+def difference(x: Value, y: Value) -> Value:
+    """``x - y`` for vectors of one length; leading axes broadcast."""
+    _check_lengths(x, y)
+    return x - y
 
 
 def squared_distance(x: Value, y: Value) -> Value:
@@ -9,9 +15,13 @@ def squared_distance(x: Value, y: Value) -> Value:
     Where every x meets every y ((m, 1, N) against (1, k, N)) the square is expanded, so that N enters
     once a descriptor and the pairs cost one matrix product; field arithmetic loses nothing by it.
     """
+    _check_lengths(x, y)
+    if x.shape[:-1] == y.shape[:-1]:
+        apart = x - y
+        return dot(apart, apart)
+    return dot(x, x) + dot(y, y) - 2 * dot(x, y)
+
+
+def _check_lengths(x: Value, y: Value) -> None:
     if x.shape[-1:] != y.shape[-1:]:
         raise ValueError(f"a distance needs vectors of equal length, got shapes {x.shape} and {y.shape}")
-    if x.shape[:-1] == y.shape[:-1]:
-        difference = x - y
-        return dot(difference, difference)
-    return dot(x, x) + dot(y, y) - 2 * dot(x, y)

@@ -24,7 +24,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 
 from protocols.cosine import cosine
-from protocols.distance import squared_distance
+from protocols.distance import difference, squared_distance
 from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, sqrt, truncate
 from spdz.fixed_point import MAX_NORM
 
@@ -72,7 +72,7 @@ async def _l1_dist_bar(engine: Engine, x: Value, y: Value) -> Value:
 
 
 async def _l1_dist(engine: Engine, x: Value, y: Value) -> Value:
-    return (await absolute(x - y)).sum()
+    return (await absolute(difference(x, y))).sum()
 
 
 async def _l2_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
