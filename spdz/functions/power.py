@@ -60,6 +60,13 @@ class Power:
     scale: Value
     unscale: Value | None = None
 
+    @property
+    def reciprocal_scale(self) -> Value:
+        """``unscale``; ValueError where it was not asked for."""
+        if self.unscale is None:
+            raise ValueError("the reciprocal scale was not asked for: power(..., unscale=True)")
+        return self.unscale
+
 
 @dataclass(frozen=True, slots=True)
 class _Power(Gate):

@@ -41,7 +41,7 @@ async def sqrt(u: Value) -> Value:
 async def _refined_sqrt(u: Value) -> Value:
     (u,) = await mask(u)
     (root,) = await power(u, alpha=Fraction(-1, 2), unscale=True)
-    assert root.unscale is not None
+    unscale = root.reciprocal_scale
     normalised = multiply(u, root.scale, root.scale, entry=1.3)
     (m,), (h,) = await parallel(
         truncate(root.mantissa, frac=RESULT_BITS),
@@ -51,7 +51,7 @@ async def _refined_sqrt(u: Value) -> Value:
     doubled = multiply(product, 3 - q, entry=2.5)
     doubled.frac += 1  # and so halved
     (mantissa,) = await truncate(doubled, frac=_REFINED_BITS)
-    return multiply(mantissa, root.unscale)
+    return multiply(mantissa, unscale)
 
 
 async def reciprocal_sqrt(u: Value) -> Value:

@@ -165,8 +165,5 @@ def _ready(z: Value) -> bool:
 
 def tightened(bound: Bound, entry: int | None, norm: int | None) -> Bound:
     """A bound that the caller knows to be smaller than the tracked one."""
-    if entry is None and norm is None:
-        return bound
-    limit = entry if norm is None else norm if entry is None else min(entry, norm)
-    assert limit is not None
-    return Bound(min(bound.entry, limit), bound.norm if norm is None else min(bound.norm, norm))
+    norm = bound.norm if norm is None else min(bound.norm, norm)
+    return Bound(min(bound.entry, norm if entry is None else min(entry, norm)), norm)
