@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocols import is_candidate
-from protocols.scores import S6, S10
+from protocols.scores import S6, S10, SCORES
 from protocols.textbook import dot_with_scalar_triples, dot_with_vector_triple
 from spdz import MacCheckFailed, ProtocolViolation, measure, run_local
 
@@ -20,6 +20,9 @@ PROGRAMS = {
     "S10 candidate": is_candidate(S10, 0.5),
     "textbook vector triple": dot_with_vector_triple,
     "textbook scalar triples": dot_with_scalar_triples,
+}
+LONG = {name: score.within(2.0) for name, score in SCORES.items() if name not in ("S6", "S10")} | {
+    "S8 candidate": is_candidate(SCORES["S8"].within(2.0), 0.5)
 }
 P_BYTES = ((1 << 127) - 1).to_bytes(16, "little")
 
@@ -85,6 +88,28 @@ def test_a_changed_frame_is_caught_in_every_round(name, sender):
                 run_local(program, X, Y, tamper=attack)
                 pytest.fail(f"{name}, party {sender}, round {number}, {what}: nothing was raised")
             assert touched == [True]
+
+
+@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize("sender", [0, 1])
+def test_a_changed_frame_of_a_long_protocol_is_caught_in_every_round(name, sender):
+    """Whatever is opened on the way: every round, one bit and one element."""
+    program = LONG[name]
+    for number in range(measure(program, (X.shape, Y.shape), "malicious").rounds):
+        for what in ("a bit in the middle", "plus one"):
+            tamper, _ = TAMPERS[what]
+            touched = []
+
+            def attack(at: int, who: int, frame: bytes) -> bytes:
+                if (at, who) != (number, sender):  # noqa: B023
+                    return frame
+                touched.append(at)  # noqa: B023
+                return tamper(frame)  # noqa: B023
+
+            with pytest.raises(MacCheckFailed):
+                run_local(program, X, Y, tamper=attack)
+                pytest.fail(f"{name}, party {sender}, round {number}, {what}: nothing was raised")
+            assert touched == [number]
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protocols import is_candidate
-from protocols.scores import S6, S10
+from protocols.scores import S6, S10, SCORES
 from protocols.textbook import dot_with_scalar_triples, dot_with_vector_triple
 from spdz import Engine, Stats, Value, beaver_multiply, measure, run_local
 
@@ -79,7 +79,14 @@ def test_rounds_of_a_score_and_of_a_candidate_bit(score, security, opened, bit):
 
 @pytest.mark.parametrize("security", ["malicious", "semi-honest"])
 @pytest.mark.parametrize(
-    "program", [S6, S10, is_candidate(S10, 0.5), dot_with_vector_triple, dot_with_scalar_triples]
+    "program",
+    [
+        *SCORES.values(),
+        *(is_candidate(score, 0.5) for score in SCORES.values()),
+        dot_with_vector_triple,
+        dot_with_scalar_triples,
+    ],
+    ids=str,
 )
 def test_the_meter_foresees_what_a_run_costs(program, security):
     plan = measure(program, (X.shape, Y.shape), security)
