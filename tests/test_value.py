@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocols import is_candidate
-from protocols.scores import S6, S10, Score
-from spdz import beaver_multiply, dot, measure, multiply, nonnegative, run_clear, run_local
+from protocols.scores import S6, S10, SCORES, Score
+from spdz import Value, beaver_multiply, dot, measure, multiply, nonnegative, run_clear, run_local
 from spdz.bound import Bound
 from spdz.clear import Clear
 from spdz.coroutine import parallel
@@ -89,6 +89,38 @@ def test_a_value_never_exceeds_its_own_bound(name):
         raw = np.asarray(value.parts[0]).astype(np.float64)
         assert np.abs(raw).max() <= value.bound.entry
         assert np.linalg.norm(np.atleast_1d(raw), axis=-1).max() <= value.bound.norm
+
+
+@pytest.mark.parametrize("max_norm", [1.0, 2.0**22])
+@pytest.mark.parametrize("name", SCORES)
+def test_no_step_of_a_score_exceeds_its_bound(name, max_norm, monkeypatch):
+    """Every value that reaches a gate in the clear, for vectors at the ends of the range."""
+    read, seen = Clear.read, []
+
+    def check(value):
+        rows = np.atleast_1d(np.asarray(value.parts[0]).astype(object))
+        assert np.abs(rows).max() <= value.bound.entry
+        assert np.max((rows**2).sum(axis=-1)) <= value.bound.norm**2
+        seen.append(value)
+
+    def checked(engine, gate, *operands):
+        for operand in operands:
+            if isinstance(operand, Value):
+                check(operand)
+        return read(engine, gate, *operands)
+
+    monkeypatch.setattr(Clear, "read", checked)
+    generator = np.random.default_rng(3)
+    x, y = generator.standard_normal((2, 12, 5))
+    x, y = (side / np.linalg.norm(side, axis=-1, keepdims=True) * max_norm * (1 - 1e-9) for side in (x, y))
+    x[0] = y[1] = 0
+    x[2], y[2], y[3], y[4] = max_norm * np.eye(5)[0], max_norm * np.eye(5)[0], x[3], -x[4]
+    x[5], y[5] = 2.0**-16 * np.eye(5)[1], 2.0**-16 * np.eye(5)[2]
+    x[6:] *= 2.0 ** -np.arange(6)[:, None]
+    run_clear(SCORES[name].within(max_norm), x, y)
+    for threshold in (-1e300, 0.3, 1e300):
+        run_clear(is_candidate(SCORES[name].within(max_norm), threshold), x, y)
+    assert len(seen) > 8
 
 
 @settings(max_examples=60, deadline=None)
