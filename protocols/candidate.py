@@ -14,6 +14,8 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
+
 from protocols.scores import Score
 from spdz import Engine, Value, nonnegative
 
@@ -62,8 +64,10 @@ def is_candidate(score: Score, threshold: float) -> Candidate:
         A program for :func:`spdz.run_local` or a networked session.
 
     Raises:
-        ValueError: if the threshold is not finite.
+        ValueError: if the threshold is not one finite real number.
     """
+    if isinstance(threshold, bool) or not isinstance(threshold, (int, float, np.integer, np.floating)):
+        raise ValueError("the threshold is one real number for all pairs: call once for each threshold")
     if not math.isfinite(threshold):
         raise ValueError("the threshold must be a finite number")
     return Candidate(score, float(threshold))

@@ -67,7 +67,7 @@ class Hello:
         fields = read_object(message)
         if fields.get("version") != PROTOCOL_VERSION:
             raise TapeMismatch(
-                f"the peer speaks protocol version {str(fields.get('version'))[:8]}, this side "
+                f"the peer speaks protocol version {shown(fields.get('version'), 8)}, this side "
                 f"{PROTOCOL_VERSION}: install the same release on both robots"
             )
         kinds: dict[str, type] = dict.fromkeys(("mission", "tape", "security", "fingerprint", "nonce"), str)
@@ -114,7 +114,7 @@ def compare(own: Hello, peer: Hello) -> None:
         TapeMismatch: naming everything that differs.
     """
     differences = [
-        f"{what}: {_short(mine)} here, {_short(theirs)} there"
+        f"{what}: {shown(mine)} here, {shown(theirs)} there"
         for what, mine, theirs in (
             ("security", own.security, peer.security),
             ("robots", " and ".join(own.agents), " and ".join(peer.agents)),
@@ -147,7 +147,7 @@ def session_id(own: Hello, peer: Hello) -> bytes:
     return hashlib.sha256(b"spdz session" + first.encode() + b"\0" + second.encode()).digest()
 
 
-def _short(value: object) -> str:
-    """A value from a header or a peer, fit for an error message."""
-    text = "".join(character for character in str(value) if character.isprintable())
-    return text if len(text) <= 40 else text[:37] + "..."
+def shown(value: object, length: int = 40) -> str:
+    """A value from a header or a peer, fit for an error message: nothing that a terminal would obey."""
+    text = "".join(character for character in str(value)[: 4 * length] if character.isprintable())
+    return text if len(text) <= length else text[: length - 3] + "..."

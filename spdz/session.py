@@ -11,16 +11,18 @@ it had reserved stays burnt. After a failed MAC check its tape is destroyed as w
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, is_dataclass
+from contextlib import suppress
+from dataclasses import dataclass
+from threading import Lock
 from types import TracebackType
 from typing import Any
 
 import numpy.typing as npt
 
+from spdz.agreement import Agreement
 from spdz.channels import Channel, FrameKind
 from spdz.channels.frames import MAX_FRAME, abort_reason
 from spdz.coroutine import parallel
@@ -28,16 +30,16 @@ from spdz.driver import run_channel
 from spdz.errors import (
     ChannelClosed,
     MacCheckFailed,
-    OutOfStep,
     PeerAborted,
-    ProtocolViolation,
+    TapeError,
     TapeInUse,
     TapeMismatch,
 )
-from spdz.handshake import Hello, canonical, compare, read_object, session_id
-from spdz.mac_check import MacCheck, drive
-from spdz.meter import Plan, measure
+from spdz.handshake import Hello, compare, session_id
+from spdz.mac_check import drive
+from spdz.meter import Plan
 from spdz.party import JobStream, Party
+from spdz.plans import Plans
 from spdz.program import Program, declare, quantise, run
 from spdz.stats import Stats
 from spdz.tape import Tape, TapeHeader
@@ -73,19 +75,19 @@ class Session:
     def __init__(self, tape: Tape, channel: Channel) -> None:
         self._tape, self._channel = tape, channel
         self._dead: str | None = None
+        self._left = tape.remaining
         self._reserved: deque[JobStream] = deque()
-        self._plans: dict[Program, Plan] = {}
+        self._plans = Plans(self.shapes, tape.header.security)
         self._process = os.getpid()
-        self._agreed: tuple[str, str] | None = None
-        self._mac_check: MacCheck | None = None
-        self._id = b""
+        self._turn = _Turn()
         with self._guard():
             own = Hello.of(tape)
             peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
             compare(own, peer)
-            self._id = session_id(own, peer)
+            session = session_id(own, peer)
             tape.resume(peer.cursor)
-            self._channel.bind(int.from_bytes(self._id[:4], "little"))
+            channel.bind(int.from_bytes(session[:4], "little"))
+            self._agreement = Agreement(channel, self.party, session, self._alpha)
 
     def __repr__(self) -> str:
         state = f"dead ({self._dead})" if self._dead else f"{self.remaining} jobs left"
@@ -118,7 +120,9 @@ class Session:
 
     @property
     def remaining(self) -> int:
-        """Jobs that can still be run."""
+        """Jobs that can still be run; of a session that has ended, those that its tape still holds."""
+        if self._dead is not None:
+            return self._left
         return len(self._reserved) + self._tape.remaining
 
     @property
@@ -139,7 +143,8 @@ class Session:
             TapeExhausted: if fewer jobs are left; nothing is consumed, and the session lives on.
         """
         self._require_alive()
-        self._reserve(jobs)
+        with self._turn:
+            self._reserve(jobs)
 
     def run(self, program: Program, data: npt.ArrayLike) -> Result:
         """Run one job on this party's input.
@@ -170,43 +175,30 @@ class Session:
                 f"{MAX_FRAME >> 20} MB: run fewer at once"
             )
         with self._guard():
-            self._agree_on(plan, program, len(inputs))
+            self._agreement.program(plan.text, len(inputs), str(getattr(program, "__name__", program)))
             if len(inputs) > len(self._reserved):
                 self._reserve(len(inputs) - len(self._reserved))
             jobs = [self._reserved.popleft() for _ in inputs]
             stats = Stats()
             lanes = [self._lane(program, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)]
-            values = run_channel(drive(_all(lanes), self._mac_check), self._channel, stats)
+            values = run_channel(drive(_all(lanes), self._agreement.mac_check), self._channel, stats)
         return Result(values, stats)
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
         """Swap one small public JSON object with the peer, such as how many descriptors there are."""
         with self._guard():
-            answer = self._control({"note": note}, "note")["note"]
-            if not isinstance(answer, dict):
-                raise ProtocolViolation("the peer's note is not a JSON object")
-            return answer
+            return self._agreement.note(note)
 
     # -- the parts of a run --------------------------------------------------------------------------
 
     def _plan(self, program: Program) -> Plan:
-        """The meter's plan, held against the tape.
-
-        It is kept for programs that cannot change (frozen dataclasses such as a candidate bit); any other is
-        read anew each time, since its public constants may have changed.
-        """
-        kept = is_dataclass(program) and program.__dataclass_params__.frozen
-        if kept and program in self._plans:
-            return self._plans[program]
-        header = self._tape.header
-        plan = measure(program, self.shapes, header.security)
-        if plan.recipe != header.fingerprint:
+        """The meter's plan, held against the tape."""
+        plan = self._plans.of(program)
+        if plan.recipe != self.header.fingerprint:
             raise TapeMismatch(
-                f"this tape was dealt for {_describe(header.program)}, which is not the program given; "
+                f"this tape was dealt for {_describe(self.header.program)}, which is not the program given; "
                 "deal tapes for it, or run the program that the tapes were dealt for"
             )
-        if kept:
-            self._plans[program] = plan
         return plan
 
     def _quantise(self, program: Program, data: npt.ArrayLike) -> IntArray:
@@ -215,38 +207,6 @@ class Session:
         if raw.shape != expected:
             raise ValueError(f"a job of this tape takes an input of shape {expected}, got {raw.shape}")
         return raw
-
-    def _agree_on(self, plan: Plan, program: Program, jobs: int) -> None:
-        """Agree on the program with its public constants, whenever they change."""
-        call = (plan.text, str(jobs))
-        if call == self._agreed:
-            return
-        title = str(getattr(program, "__name__", program))[:120]
-        peer = self._control({"text": plan.text, "jobs": jobs, "title": title}, "text", "jobs", "title")
-        if (peer["text"], str(peer["jobs"])) != call:
-            theirs = "".join(c for c in str(peer["title"])[:120] if c.isprintable())
-            raise TapeMismatch(
-                f"the peer runs something else: {jobs} x {title} here, {str(peer['jobs'])[:8]} x {theirs} "
-                "there; give both robots the same threshold and program"
-            )
-        self._agreed = call
-
-    def _control(self, message: dict[str, Json], *keys: str) -> dict[str, Any]:
-        own = canonical(message)
-        reply = bytes(self._channel.exchange(FrameKind.CONTROL, [own], None))
-        first, second = (own, reply) if self.party == 0 else (reply, own)
-        # Whatever the two sides tell each other becomes part of what the next MAC check is about.
-        texts = b"".join(hashlib.sha256(text).digest() for text in (first, second))
-        self._id = hashlib.sha256(b"spdz agreement" + self._id + texts).digest()
-        alpha = self._alpha
-        if alpha is not None:
-            self._mac_check = MacCheck(alpha, self.party, self._id)
-        fields = read_object(reply)
-        if set(fields) != set(keys):
-            raise OutOfStep(
-                "the peer is at another step: both robots must make the same calls in the same order"
-            )
-        return fields
 
     @property
     def _alpha(self) -> int | None:
@@ -260,14 +220,15 @@ class Session:
 
     def _lane(self, program: Program, job: JobStream, raw: IntArray, stats: Stats) -> Any:
         header = self._tape.header
-        party = Party(self.party, header.security, job, self._mac_check, self._alpha, stats)
+        party = Party(self.party, header.security, job, self._agreement.mac_check, self._alpha, stats)
         return run(party, program, declare(program, self.shapes, {self.party: raw}))
 
     # -- ending --------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Close connection and tape; safe to call twice."""
+        """Close connection and tape; safe to call twice. In a fork nothing is written anywhere."""
         if self._dead is None:
+            self._left = self._tape.remaining
             self._dead = "closed"
         self._channel.close()
         self._tape.close()
@@ -283,10 +244,20 @@ class Session:
         return _Guard(self)
 
     def _die(self, error: BaseException) -> None:
-        """Tell the peer why, close everything, and destroy the tape if the peer cheated."""
-        self._dead = type(error).__name__
+        """Tell the peer why, close everything, and destroy the tape if the peer cheated.
+
+        In a fork only the descriptors are closed: tape, connection and TLS keys are the parent's.
+        """
+        if os.getpid() != self._process:
+            self.close()
+            return
+        if self._dead is None:
+            self._dead = type(error).__name__
+            with suppress(TapeError):
+                self._left = self._tape.remaining
         try:
             if isinstance(error, MacCheckFailed):
+                self._left = 0
                 self._tape.destroy()
         finally:
             if not isinstance(error, PeerAborted):
@@ -294,20 +265,40 @@ class Session:
             self.close()
 
 
+class _Turn:
+    """One thread at a time; a second one is told, and changes nothing."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise TapeInUse(
+                "another thread is using this session: it serves one thread at a time, since both robots "
+                "must make the same calls in the same order"
+            )
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.release()
+
+
 class _Guard:
-    """Whatever goes wrong inside kills the session."""
+    """A turn in which whatever goes wrong kills the session."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
 
     def __enter__(self) -> None:
-        return None
+        self._session._turn.__enter__()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None:
-            self._session._die(error)
+        try:
+            if error is not None:
+                self._session._die(error)
+        finally:
+            self._session._turn.__exit__()
 
 
 async def _all(lanes: Sequence[Any]) -> list[Any]:

@@ -238,7 +238,7 @@ def test_no_secret_shows_in_a_repr(tmp_path):
     paths = deal(tmp_path / "m", S10, SHAPES, 3)
 
     def work(session):
-        return repr(session) + repr(session._mac_check) + repr(session._tape)
+        return repr(session) + repr(session._agreement.mac_check) + repr(session._tape)
 
     for text in run_pair(paths, state_dirs(tmp_path), work):
         assert "0x" not in text and "b'" not in text
@@ -286,7 +286,7 @@ def test_a_note_that_is_no_object_is_a_protocol_violation(tmp_path):
     paths = deal(tmp_path / "m", S10, SHAPES, 3)
 
     def liar(session):
-        session._control({"note": 5}, "note")
+        session._agreement.control({"note": 5}, "note")
 
     honest, _ = run_pair(
         paths, state_dirs(tmp_path), lambda session: session.exchange_note({"descriptors": 1}), liar

@@ -1,0 +1,70 @@
+"""Plans of the programs that a session has run lately.
+
+Reading a program for its plan costs about as much as running it once, so the plans of the last few are kept:
+under everything that a program is made of, and only where nothing of that can change. A frozen dataclass of
+numbers, names, plain functions and more of the same is kept; any other program (a function of the user's, an
+array among the fields) is read anew for each run, since what it adds or compares with may have changed.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
+from types import FunctionType
+from typing import Any
+
+from spdz.meter import Plan, measure
+from spdz.program import Program
+from spdz.types import Security, Shape
+
+KEPT = 16
+"""Plans kept: a session uses a few thresholds in turn. One plan takes some kilobytes."""
+
+_CONSTANTS = (int, float, bool, str, bytes, type(None), Fraction)
+
+
+class Plans:
+    """Plans for one tape's shapes and security model, the latest used last."""
+
+    def __init__(self, shapes: tuple[Shape, Shape], security: Security) -> None:
+        self._shapes, self._security = shapes, security
+        self._kept: OrderedDict[Hashable, Plan] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def of(self, program: Program) -> Plan:
+        """The meter's plan of a program."""
+        key = constants(program) if is_dataclass(program) else None
+        if key is not None and key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        plan = measure(program, self._shapes, self._security)
+        if key is not None:
+            self._kept[key] = plan
+            if len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        return plan
+
+
+def constants(value: Any) -> Hashable | None:
+    """Everything that ``value`` is made of, or None if any of it can change.
+
+    Fields that a dataclass leaves out of comparison count as well, and 1, 1.0 and True are different.
+    """
+    kind = type(value)
+    if kind in _CONSTANTS:
+        return kind, repr(value)
+    if kind is FunctionType and value.__closure__ is None and not value.__defaults__:
+        return kind, value
+    if kind is tuple:
+        parts = [constants(part) for part in value]
+    elif is_dataclass(kind) and kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        parts = [constants(getattr(value, field.name)) for field in fields(kind)]
+        if hasattr(value, "__dict__") and len(value.__dict__) != len(parts):
+            return None
+    else:
+        return None
+    return None if None in parts else (kind, *parts)
