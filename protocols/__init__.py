@@ -1,6 +1,9 @@
-"""What is computed: the score functions, and the candidate bit on top of them."""
+"""What is computed: the score functions, the candidate bit on top of them, all pairs of two robots."""
 
+from protocols.batch import Block, Matches
 from protocols.candidate import is_candidate
+from protocols.matcher import Matcher
+from protocols.matching import match
 from protocols.scores import SCORES, Score
 
-__all__ = ["SCORES", "Score", "is_candidate"]
+__all__ = ["SCORES", "Block", "Matcher", "Matches", "Score", "is_candidate", "match"]

@@ -6,19 +6,19 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from protocols.batch import Matches
 from protocols.catalog import Purpose
-from protocols.matching import Matches, check, match
-from spdz.connect import open_session
+from protocols.matcher import Matcher
 from spdz.errors import SpdzError
 from spdz.progress import progress_bar
-from spdz.session import Session
-from spdz.tape import Tape
 
 _EPILOG = """\
 example, in two terminals (either may start first):
@@ -28,6 +28,8 @@ example, in two terminals (either may start first):
       --descriptors b.npy --threshold 0.8
 
 Both robots learn which pairs of descriptors match (and how many descriptors the other has), nothing else.
+If the line breaks, both look for each other for --wait seconds and go on where they were. If that fails, or
+Ctrl-C is pressed, what has been decided is printed all the same.
 Exit status: 0 done, 1 the run failed, 2 bad input; with --json an error is one JSON object as well.
 """
 
@@ -49,7 +51,7 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add("--descriptors", type=Path, required=True, metavar="FILE.npy", help="array of shape (n, N)")
     add("--threshold", type=float, help="public; the same on both sides (omit if the tapes reveal scores)")
     add("--credentials", type=Path, metavar="DIR", help="folder of the certificates (default: the tape's)")
-    add("--wait", type=float, default=60.0, metavar="S", help="seconds to wait for the other robot (60)")
+    add("--wait", type=float, default=60.0, metavar="S", help="seconds to look for the other robot (60)")
     add("--timeout", type=float, default=30.0, metavar="S", help="seconds that one round may take (30)")
     add("--state-dir", type=Path, metavar="DIR", help="where used tapes are recorded a second time")
     add(
@@ -79,69 +81,111 @@ def load_descriptors(path: Path) -> npt.NDArray[Any]:
 
 def run_match(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
+    matcher = None
     try:
         descriptors = load_descriptors(options.descriptors)
-        state_dir = options.state_dir
-        with Tape.open(options.tape, state_dir=state_dir) as tape:
-            check(tape.header, descriptors, options.threshold)
-            if not options.quiet:
-                where = f"on {options.listen}" if options.listen else f"at {options.connect}"
-                print(f"waiting for {tape.header.peer} {where}, up to {options.wait:g} s", file=sys.stderr)
-        with open_session(
-            options.tape,
-            listen=options.listen,
-            connect=options.connect,
-            credentials=options.credentials,
-            insecure=options.insecure_plain_tcp,
-            wait=options.wait,
-            timeout=options.timeout,
-            state_dir=state_dir,
-        ) as session:
-            if session.rolled_back:
-                print("note: this tape is an older copy of itself; its used part is skipped", file=sys.stderr)
-            started = time.perf_counter()
-            with progress_bar("comparing", quiet=options.quiet) as report:
-                matches = match(session, descriptors, options.threshold, progress=report)
-            _print(options, session, matches, time.perf_counter() - started)
-    except (SpdzError, ValueError, OSError) as error:
-        status = 1 if isinstance(error, SpdzError) else 2
-        if options.json:
-            print(json.dumps({"error": type(error).__name__, "message": str(error)}))
-        else:
-            print(f"python -m spdz match: {type(error).__name__}: {error}", file=sys.stderr)
-        return status
+        with progress_bar("comparing", quiet=options.quiet) as progress:
+            matcher = Matcher(
+                options.tape,
+                options.threshold,
+                listen=options.listen,
+                connect=options.connect,
+                credentials=options.credentials,
+                insecure=options.insecure_plain_tcp,
+                wait=options.wait,
+                timeout=options.timeout,
+                state_dir=options.state_dir,
+                on_event=lambda sentence: _say(sentence, options.quiet),
+                progress=progress,
+            )
+            if matcher.rolled_back:
+                _say("note: this tape is an older copy of itself; its used part is skipped")
+            matcher.check(descriptors)
+            where = f"on {options.listen}" if options.listen else f"at {options.connect}"
+            _say(f"waiting for {matcher.header.peer} {where}, up to {options.wait:g} s", options.quiet)
+            with closing(matcher):
+                matcher.connect()
+                started = time.perf_counter()
+                matches = matcher.match(descriptors)
+                seconds = time.perf_counter() - started
+                try:
+                    _print(options, matcher, matches, {"ms": round(seconds * 1e3, 3)})
+                finally:
+                    matcher.finish()
+    except (SpdzError, ValueError, OSError, KeyboardInterrupt) as error:
+        _print_failure(options, matcher, error)
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        return 1 if isinstance(error, SpdzError) else 2
     return 0
 
 
-def _print(options: argparse.Namespace, session: Session, matches: Matches, seconds: float) -> None:
-    purpose = Purpose.from_json(session.header.program)
+def _print_failure(options: argparse.Namespace, matcher: Matcher | None, error: BaseException) -> None:
+    """Print what there is, and why there is no more."""
+    partial = None if matcher is None else matcher.partial
+    name, message = type(error).__name__, str(error) or "stopped before the end"
+    failure = {"error": name, "message": message}
+    if options.json:
+        if matcher is None or partial is None:
+            print(json.dumps(failure))
+        else:
+            _print(options, matcher, partial, failure)
+        return
+    if matcher is not None and partial is not None and partial.pairs:
+        _print(options, matcher, partial, {})
+    if not isinstance(error, KeyboardInterrupt):
+        print(f"python -m spdz match: {name}: {message}", file=sys.stderr)
+
+
+def _say(sentence: str, quiet: bool = False) -> None:
+    if not quiet:
+        print(sentence, file=sys.stderr, flush=True)
+
+
+def _print(
+    options: argparse.Namespace, matcher: Matcher, matches: Matches, more: Mapping[str, float | str]
+) -> None:
+    """Print a result, or what there is of it."""
+    header = matcher.header
+    purpose = Purpose.from_json(header.program)
     bits = purpose.reveal == "bit"
+    own, theirs = matches.decisions.shape
     found = [(int(i), int(j)) for i, j in np.argwhere(matches.decisions)] if bits else []
     if options.json:
         summary = {
-            "robot": session.header.name,
-            "peer": session.header.peer,
-            "security": session.header.security,
+            "robot": header.name,
+            "peer": header.peer,
+            "security": header.security,
             "score": purpose.score,
             "threshold": options.threshold,
-            "shape": list(matches.decisions.shape),
-            "ms": round(seconds * 1e3, 3),
+            "shape": [own, theirs],
+            "decided": matches.pairs,
             "jobs": matches.jobs,
-            "jobs_left": session.remaining,
+            "jobs_left": matcher.remaining,
             **matches.stats.as_dict(),
+            **more,
         }
-        summary |= {"matches": found} if bits else {"scores": matches.decisions.tolist()}
-        print(json.dumps(summary))
+        if bits:
+            print(json.dumps(summary | {"matches": found}))
+        else:
+            scores = matches.decisions.astype(object)
+            scores[~matches.decided] = None
+            print(json.dumps(summary | {"scores": scores.tolist()}))
         return
-    own, theirs = matches.decisions.shape
     if bits:
         for i, j in found:
-            print(f"match: {session.header.name} {i}  {session.header.peer} {j}")
-        print(f"{len(found)} of {own} x {theirs} pairs match ({purpose.score}, {session.header.security})")
+            print(f"match: {header.name} {i}  {header.peer} {j}")
+        print(f"{len(found)} of {own} x {theirs} pairs match ({purpose.score}, {header.security})")
     else:
         for i, row in enumerate(matches.decisions):
-            print(f"{session.header.name} {i}: " + " ".join(f"{score:.6g}" for score in row))
+            known = zip(row, matches.decided[i], strict=True)
+            print(
+                f"{header.name} {i}: " + " ".join(f"{score:.6g}" if there else "?" for score, there in known)
+            )
+    if not matches.complete:
+        print(f"only {matches.pairs} of {own * theirs} pairs were compared: broken off")
+    spent = f"{more['ms']:.1f} ms, " if "ms" in more else ""
     print(
-        f"{seconds * 1e3:.1f} ms, {matches.stats.bytes_sent / 1e6:.3f} MB sent, {matches.stats.rounds} "
-        f"rounds; {session.remaining} jobs left on the tape"
+        f"{spent}{matches.stats.bytes_sent / 1e6:.3f} MB sent, {matches.stats.rounds} rounds; "
+        f"{matcher.remaining} jobs left on the tape"
     )

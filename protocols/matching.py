@@ -1,8 +1,8 @@
-"""Every descriptor of one robot against every descriptor of the other.
+"""Every descriptor of one robot against every descriptor of the other, over one open session.
 
-The grid of pairs is covered with the tapes' tiles. Within a tile each descriptor is masked and sent once,
-and each pair costs one dealt scalar, one opened element and (for a candidate bit) one DCF key. Tiles at the
-border are filled up with copies of the last descriptor. Several tiles travel in the same rounds.
+Within a tile each descriptor is masked and sent once, and each pair costs one dealt scalar, one opened
+element and (for a candidate bit) one DCF key. :class:`protocols.Matcher` does the same over connections that
+break.
 
 What the peer learns besides the results: how many descriptors there are.
 """
@@ -10,48 +10,20 @@ What the peer learns besides the results: how many descriptors there are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
-from spdz.errors import ProtocolViolation, TapeExhausted
-from spdz.meter import measure
+from spdz.errors import OutOfStep, ProtocolViolation, SpdzError, TapeExhausted
 from spdz.program import Program, quantise
 from spdz.session import Session
-from spdz.stats import Stats
 from spdz.tape import TapeHeader
 
-_BATCH_BYTES = 2 << 20
-"""Tiles share rounds up to about this many bytes of masked descriptors."""
-
-_BATCH_DEALT_BYTES = 64 << 20
-"""... this many dealt bytes, which are read ahead,"""
-
-_BATCH_JOBS = 64
-"""... and up to this many jobs, so that one lost batch costs little."""
-
-
-@dataclass(frozen=True, slots=True)
-class Matches:
-    """Result of a matching.
-
-    Attributes:
-        decisions: (own, peer's) array: booleans, or scores where the tapes reveal scores.
-        stats: This party's cost.
-        jobs: Jobs used.
-    """
-
-    decisions: npt.NDArray[Any]
-    stats: Stats
-    jobs: int
-
-    @property
-    def pairs(self) -> int:
-        """Comparisons made."""
-        return int(self.decisions.size)
+_MOST = 1 << 24
+"""Security limit: descriptors that a peer may say it has in one batch."""
 
 
 def match(
@@ -59,15 +31,17 @@ def match(
     descriptors: npt.ArrayLike,
     threshold: float | None = None,
     *,
+    on_block: Callable[[Block], None] = lambda block: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Matches:
     """Compare all own descriptors with all of the peer's. Both robots call this at the same time.
 
     Args:
         session: An open session.
-        descriptors: Own descriptors, shape (n, N).
+        descriptors: Own descriptors, shape (n, N); none are a legal batch.
         threshold: Public threshold in the score's units, the same on both sides (None where the tapes
             reveal scores).
+        on_block: Called with every block of pairs as soon as it is decided.
         progress: Called with jobs done and jobs in all.
 
     Returns:
@@ -76,44 +50,27 @@ def match(
     Raises:
         ValueError: for bad descriptors; nothing is consumed.
         TapeExhausted: if the tapes do not hold enough jobs for all pairs; nothing is consumed.
-        SpdzError: if anything else goes wrong; the session is dead.
+        SpdzError: if anything else goes wrong; the session is dead. ``error.partial`` is what had been
+            decided.
     """
     purpose, program, own = check(session.header, descriptors, threshold)
-    note = session.exchange_note({"descriptors": len(own)})
-    theirs = note.get("descriptors")
-    if type(theirs) is not int or not 1 <= theirs <= 1 << 24:
-        raise ProtocolViolation("the peer's number of descriptors is not a sensible number")
-    own_axis, peer_axis = session.party, 1 - session.party
-    peer_blocks = -(-theirs // purpose.tile[peer_axis])
-    needed = -(-len(own) // purpose.tile[own_axis]) * peer_blocks
-    if needed > session.remaining:
-        raise TapeExhausted(
-            f"{len(own)} x {theirs} descriptors need {needed} jobs of {purpose.pairs} comparisons, and "
-            f"{session.remaining} are left; deal more with `python -m spdz.dealer` (a larger --count, or "
-            "--tile for fewer bytes)"
-        )
-    own_blocks = _blocks(own, purpose.tile[own_axis])
-    grid = [(i, j) for i in range(len(own_blocks)) for j in range(peer_blocks)]
-    if session.party == 1:  # both sides walk the grid in the order of party 0
-        grid.sort(key=lambda place: (place[1], place[0]))
-    kind = np.bool_ if purpose.reveal == "bit" else np.float64
-    table = np.zeros((len(own_blocks) * purpose.tile[own_axis], peer_blocks * purpose.tile[peer_axis]), kind)
-    stats, done = Stats(), 0
-    shape = session.shapes[session.party]
-    dealt = max(measure(program, session.shapes, session.header.security).correction_bytes)
-    masked = 16 * own.shape[1] * max(purpose.tile)
-    batch = max(1, min(_BATCH_JOBS, _BATCH_BYTES // masked, _BATCH_DEALT_BYTES // max(dealt, 1)))
-    while done < len(grid):
-        places = grid[done : done + batch]
-        result = session.run_many(program, [own_blocks[i].reshape(shape) for i, _ in places])
-        for (i, j), value in zip(places, result.value, strict=True):
-            rows, columns = purpose.tile[own_axis], purpose.tile[peer_axis]
-            block = value if session.party == 0 else value.T
-            table[i * rows : (i + 1) * rows, j * columns : (j + 1) * columns] = block
-        stats.add(result.stats)
-        done += len(places)
-        progress(done, len(grid))
-    return Matches(table[: len(own), :theirs], stats, len(grid))
+    batch = Batch(0, own, purpose, session.party)
+    try:
+        note = session.exchange_note({"descriptors": len(own)})
+        if set(note) != {"descriptors"}:
+            raise OutOfStep(
+                "the peer uses a Matcher (as the command does), this side match(): use one of them on both"
+            )
+        batch.meet("", sensible_count(note["descriptors"]), 0)
+        require_jobs(batch, session, purpose)
+        for done in batch.run(
+            session, program, tiles_together(purpose, program, session.header.security), on_block
+        ):
+            progress(done, batch.tiles)
+    except SpdzError as error:
+        error.partial = batch.matches
+        raise
+    return batch.matches
 
 
 def check(
@@ -129,20 +86,35 @@ def check(
     """
     purpose = Purpose.from_json(header.program)
     program = purpose.program(threshold)
+    return purpose, program, check_descriptors(purpose, program, descriptors)
+
+
+def check_descriptors(purpose: Purpose, program: Program, descriptors: npt.ArrayLike) -> npt.NDArray[Any]:
+    """The descriptors as an array of shape (n, N), n >= 0; raises ValueError naming what does not suit."""
     own = np.asarray(descriptors)
-    if own.ndim != 2 or own.shape[1] != purpose.dim or len(own) == 0:
-        raise ValueError(
-            f"expected descriptors of shape (n, {purpose.dim}) with n >= 1 for these tapes, got {own.shape}"
+    if own.shape == (0,):
+        own = np.empty((0, purpose.dim))
+    if own.ndim != 2 or own.shape[1] != purpose.dim:
+        raise ValueError(f"expected descriptors of shape (n, {purpose.dim}) for these tapes, got {own.shape}")
+    if len(own):
+        quantise(program, own, "descriptors")
+    return own
+
+
+def sensible_count(count: object) -> int:
+    """A number of descriptors that a peer sent."""
+    if type(count) is not int or not 0 <= count <= _MOST:
+        raise ProtocolViolation("the peer's number of descriptors is not a sensible number")
+    return count
+
+
+def require_jobs(batch: Batch, session: Session, purpose: Purpose) -> None:
+    """Raise TapeExhausted if the tapes cannot finish a batch; both sides find the same."""
+    needed = batch.tiles - batch.done
+    if needed > session.remaining:
+        own, theirs = batch.matches.decisions.shape
+        raise TapeExhausted(
+            f"{own} x {theirs} descriptors need {needed} jobs of {purpose.pairs} comparisons, and "
+            f"{session.remaining} are left; deal more with `python -m spdz.dealer` (a larger --count, or "
+            "--tile for fewer bytes)"
         )
-    quantise(program, own, "descriptors")
-    return purpose, program, own
-
-
-def _blocks(descriptors: npt.NDArray[Any], size: int) -> list[npt.NDArray[Any]]:
-    """Cut into blocks of ``size`` rows, the last one filled up with copies of the last descriptor.
-
-    Every result is opened, those of the filling too: for a zero row they would tell the peer's norms.
-    """
-    missing = -len(descriptors) % size
-    padded = np.concatenate([descriptors, np.repeat(descriptors[-1:], missing, axis=0)])
-    return [padded[start : start + size] for start in range(0, len(padded), size)]

@@ -39,11 +39,7 @@ def open_session(
         ChannelError: if there is no connection within ``wait`` seconds, or the peer is not who it
             should be.
     """
-    if (listen is None) == (connect is None):
-        raise ValueError("give exactly one of listen= and connect=")
-    for name, seconds in (("wait", wait), ("timeout", timeout)):
-        if not (seconds > 0 and math.isfinite(seconds)):
-            raise ValueError(f"{name} must be a positive number of seconds, not {seconds!r}")
+    check_where(listen, connect, wait, timeout)
     path = Path(tape)
     opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
     try:
@@ -58,3 +54,17 @@ def open_session(
         opened.close()
         raise
     return Session(opened, channel)
+
+
+def check_where(listen: str | None, connect: str | None, wait: float, timeout: float) -> None:
+    """Refuse arguments of :func:`open_session` that make no sense, before anything is opened.
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    if (listen is None) == (connect is None):
+        raise ValueError("give exactly one of listen= and connect=")
+    tcp.parse_address(listen or connect or "")
+    for name, seconds in (("wait", wait), ("timeout", timeout)):
+        if not (seconds > 0 and math.isfinite(seconds)):
+            raise ValueError(f"{name} must be a positive number of seconds, not {seconds!r}")

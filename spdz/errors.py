@@ -25,7 +25,13 @@ few jobs for a matching, leaves the session alive.)
 
 
 class SpdzError(Exception):
-    """Base of all errors raised on purpose by this package."""
+    """Base of all errors raised on purpose by this package.
+
+    Attributes:
+        partial: What had been decided, checked and final, before the error; None where that is nothing.
+    """
+
+    partial: object | None = None
 
 
 class MacCheckFailed(SpdzError):
@@ -41,19 +47,34 @@ class OutOfStep(ProtocolViolation):
 
 
 class ChannelError(SpdzError):
-    """The connection to the peer could not be made or did not last."""
+    """The connection to the peer could not be made or did not last.
+
+    Attributes:
+        passing: Whether another try may go better: radios drop, robots restart. False where the other side is
+            not who it should be, or has said that it will not go on.
+    """
+
+    passing: bool = False
 
 
 class ChannelTimeout(ChannelError):
     """The peer did not answer within the time limit."""
 
+    passing = True
+
 
 class ChannelClosed(ChannelError):
     """The peer closed the connection."""
 
+    passing = True
+
 
 class PeerAborted(ChannelError):
     """The peer stopped and gave a reason."""
+
+    def __init__(self, message: str, *, passing: bool = False) -> None:
+        super().__init__(message)
+        self.passing = passing
 
 
 class TapeError(SpdzError):

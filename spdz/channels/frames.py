@@ -120,6 +120,9 @@ _SENTENCES = {
     AbortReason.LOCAL_ERROR: "of an error of its own; see its own message",
 }
 
+_PASSING = frozenset({AbortReason.TIMEOUT, AbortReason.STOPPED, AbortReason.LOCAL_ERROR})
+"""Reasons after which the peer may be back."""
+
 
 def pack_header(kind: int, dtype: int, session: int, round_: int, length: int) -> bytes:
     """The 16 bytes in front of a payload of ``length`` bytes."""
@@ -290,7 +293,8 @@ class FrameReader:
     @staticmethod
     def _abort_error(reason: int) -> Exception:
         try:
-            return PeerAborted(f"the peer stopped because {_SENTENCES[AbortReason(reason)]}")
+            why = AbortReason(reason)
+            return PeerAborted(f"the peer stopped because {_SENTENCES[why]}", passing=why in _PASSING)
         except ValueError:
             return _violation("abort reason", f"1 to {max(AbortReason)}", reason)
 

@@ -1,0 +1,199 @@
+"""One batch of descriptors on its way to being compared with the peer's, tile by tile.
+
+The grid of pairs is covered with the tapes' tiles, which both robots walk in one order. A tile's result is
+final as soon as the run that contains it has passed its MAC check. So a batch remembers how many tiles are
+done, and a new connection goes on after them.
+
+Tiles at the border are filled up with copies of the last descriptor: every result is opened, those of the
+filling too, and for a zero row they would tell the peer's norms.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from protocols.catalog import Purpose
+from spdz.meter import measure
+from spdz.program import Program
+from spdz.session import Session
+from spdz.stats import Stats
+from spdz.types import Security
+
+_BATCH_BYTES = 2 << 20
+"""Tiles share rounds up to about this many bytes of masked descriptors."""
+
+_BATCH_DEALT_BYTES = 64 << 20
+"""... this many dealt bytes, which are read ahead,"""
+
+_BATCH_JOBS = 64
+"""... and up to this many jobs, so that one lost batch costs little."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Decided pairs of a batch.
+
+    Attributes:
+        batch: Number of the batch.
+        rows: Own descriptors, as positions in the batch: ``range(start, stop)``.
+        columns: The peer's.
+        decisions: Their results, shape (rows, columns): booleans, or scores where the tapes reveal scores.
+    """
+
+    batch: int
+    rows: range
+    columns: range
+    decisions: npt.NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Result of a matching.
+
+    Attributes:
+        decisions: (own, peer's) array: booleans, or scores where the tapes reveal scores.
+        decided: The same shape: which of them have been decided. All, unless the matching was broken off.
+        stats: This party's cost, with what was run again after a broken connection.
+        jobs: Jobs used.
+        batch: Number of the batch.
+    """
+
+    decisions: npt.NDArray[Any]
+    decided: npt.NDArray[np.bool_]
+    stats: Stats
+    jobs: int
+    batch: int = 0
+
+    @property
+    def pairs(self) -> int:
+        """Comparisons made."""
+        return int(np.count_nonzero(self.decided))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every pair has been decided."""
+        return bool(self.decided.all())
+
+
+class Batch:
+    """A batch of own descriptors and what is known of its comparison with the peer's.
+
+    Args:
+        number: Its number, the same on both sides.
+        own: Own descriptors, shape (n, N); n may be 0.
+        purpose: What the tapes were dealt for.
+        party: 0 or 1.
+
+    Attributes:
+        token: Random; tells the peer whether it has met this very batch before.
+        met: The token of the peer's batch that the state below is about; empty if there is none.
+        done: Tiles decided.
+    """
+
+    def __init__(self, number: int, own: npt.NDArray[Any], purpose: Purpose, party: int) -> None:
+        self.number, self.token, self.met, self.done = number, secrets.token_hex(8), "", 0
+        self._own, self._purpose, self._party = own, purpose, party
+        self._stats, self._jobs = Stats(), 0
+        self._places: list[tuple[int, int]] = []
+        self._lay_out(0)
+
+    def __len__(self) -> int:
+        """Own descriptors."""
+        return len(self._own)
+
+    @property
+    def tiles(self) -> int:
+        """Tiles that cover all pairs with the peer's batch that was met."""
+        return len(self._places)
+
+    @property
+    def matches(self) -> Matches:
+        """What has been decided so far."""
+        stats = Stats()
+        stats.add(self._stats)
+        return Matches(self._table, self._decided, stats, self._jobs, self.number)
+
+    def meet(self, token: str, count: int, done: int) -> None:
+        """Go on against the peer's batch of this number.
+
+        Args:
+            token: The peer's batch's token.
+            count: Its number of descriptors.
+            done: Tiles that both sides have decided; 0 unless both have met this very batch before.
+        """
+        if token != self.met or count != self._decided.shape[1]:
+            self.met = token
+            self._lay_out(count)
+        self.done = min(self.done, done)
+
+    def run(
+        self,
+        session: Session,
+        program: Program,
+        together: int,
+        on_block: Callable[[Block], None] = lambda block: None,
+    ) -> Iterator[int]:
+        """Compare what is left.
+
+        Args:
+            session: An open session.
+            program: What a job computes.
+            together: How many tiles share rounds (:func:`tiles_together`).
+            on_block: Called with every block of pairs as soon as it is decided, once.
+
+        Yields:
+            The number of tiles done, after each exchange of several.
+        """
+        tile = self._purpose.tile[self._party], self._purpose.tile[1 - self._party]
+        shape = session.shapes[self._party]
+        while self.done < len(self._places):
+            places = self._places[self.done : self.done + together]
+            result = session.run_many(program, [self._rows(i, tile[0]).reshape(shape) for i, _ in places])
+            self._stats.add(result.stats)
+            self._jobs += len(places)
+            for (i, j), value in zip(places, result.value, strict=True):
+                rows = range(i * tile[0], min((i + 1) * tile[0], len(self._own)))
+                columns = range(j * tile[1], min((j + 1) * tile[1], self._decided.shape[1]))
+                decided = value if self._party == 0 else value.T
+                self._decide(
+                    Block(self.number, rows, columns, decided[: len(rows), : len(columns)]), on_block
+                )
+                self.done += 1
+            yield self.done
+
+    def _lay_out(self, count: int) -> None:
+        """Forget what was decided against another batch of the peer's, and cover all pairs with tiles."""
+        own, theirs = self._purpose.tile[self._party], self._purpose.tile[1 - self._party]
+        grid = [(i, j) for i in range(-(-len(self._own) // own)) for j in range(-(-count // theirs))]
+        if self._party == 1:  # both sides walk the grid in the order of party 0
+            grid.sort(key=lambda place: (place[1], place[0]))
+        self._places, self.done = grid, 0
+        kind = np.bool_ if self._purpose.reveal == "bit" else np.float64
+        self._table = np.zeros((len(self._own), count), kind)
+        self._decided = np.zeros(self._table.shape, np.bool_)
+
+    def _decide(self, block: Block, on_block: Callable[[Block], None]) -> None:
+        """Keep the first decision: a tile that the peer has missed is run again for the peer alone."""
+        where = slice(block.rows.start, block.rows.stop), slice(block.columns.start, block.columns.stop)
+        if not self._decided[where].all():
+            self._table[where] = block.decisions
+            self._decided[where] = True
+            on_block(block)
+
+    def _rows(self, i: int, size: int) -> npt.NDArray[Any]:
+        """Block i of the own descriptors, filled up with copies of the last one."""
+        block = self._own[i * size : (i + 1) * size]
+        return np.concatenate([block, np.repeat(self._own[-1:], size - len(block), axis=0)])
+
+
+def tiles_together(purpose: Purpose, program: Program, security: Security) -> int:
+    """How many tiles share rounds: enough to fill a round trip, few enough that a lost one costs little."""
+    dealt = max(measure(program, purpose.shapes, security).correction_bytes)
+    masked = 16 * purpose.dim * max(purpose.tile)
+    return max(1, min(_BATCH_JOBS, _BATCH_BYTES // masked, _BATCH_DEALT_BYTES // max(dealt, 1)))
