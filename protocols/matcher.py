@@ -28,7 +28,7 @@ from protocols.catalog import Purpose
 from protocols.matching import check_descriptors, require_jobs
 from protocols.position import Offer, Position, meeting
 from spdz.connect import check_where, open_session
-from spdz.errors import ChannelError, OutOfStep, SpdzError
+from spdz.errors import ChannelError, OutOfStep, SpdzError, TapeExhausted
 from spdz.session import Session
 from spdz.tape import Tape, TapeHeader
 
@@ -154,7 +154,7 @@ class Matcher:
 
     def connect(self) -> None:
         """Reach the peer now, within ``wait`` seconds, instead of with the first batch."""
-        self._connected(self._wait)
+        self._see_through(self._wait, lambda session: None)
 
     def match(self, descriptors: npt.ArrayLike) -> Matches:
         """Compare the next batch with the peer's of the same number, however often the connection breaks.
@@ -182,7 +182,7 @@ class Matcher:
         if (batch := self._current) is None:
             raise ValueError("no batch was broken off: call match() with the next one")
         try:
-            self._see_through(self._wait)
+            self._see_through(self._wait, self._go_on)
         except SpdzError as error:
             error.partial = batch.matches
             raise
@@ -193,16 +193,20 @@ class Matcher:
     def finish(self) -> None:
         """Tell the peer that no further batch comes, and let it have what it has missed.
 
-        If it cannot be reached for ten seconds it has probably ended too. Never raises an error of the
-        engine: all results are there already.
+        If it cannot be reached for ten seconds it has probably ended too; that and a peer with further batches
+        are told as events, since all results are there already.
+
+        Raises:
+            SpdzError: if the peer cheats.
         """
         if self._previous is None:
             return
         try:
-            self._see_through(min(self._wait, _FAREWELL))
-        except SpdzError as error:
+            self._see_through(min(self._wait, _FAREWELL), self._go_on)
+        except (ChannelError, OutOfStep, TapeExhausted) as error:
             self._on_event(f"ended without {self._header.peer}: {error}")
-        self._previous = None
+        finally:
+            self._previous = None
 
     def close(self) -> None:
         """Hang up; safe to call twice."""
@@ -211,13 +215,13 @@ class Matcher:
             self._remaining = self._session.remaining
             self._session = None
 
-    def _see_through(self, wait: float) -> None:
-        """Go on, over as many connections as it takes, until both are through with the current batch."""
+    def _see_through(self, wait: float, work: Callable[[Session], None]) -> None:
+        """Do the work, over as many connections as it takes, while something goes on within ``wait``."""
         deadline, pause = time.monotonic() + wait, _FIRST_PAUSE
         while True:
             self._progressed = False
             try:
-                self._go_on(self._connected(max(deadline - time.monotonic(), _FIRST_PAUSE)))
+                work(self._connected(max(deadline - time.monotonic(), _FIRST_PAUSE)))
                 return
             except ChannelError as error:
                 self.close()
@@ -238,10 +242,11 @@ class Matcher:
     def _connected(self, wait: float) -> Session:
         if self._session is None:
             self._session = open_session(self._tape, wait=wait, **self._where)
-            self.rolled_back = self.rolled_back or self._session.rolled_back
+            self._on_event(f"connected to {self._header.peer}")
         return self._session
 
     def _go_on(self, session: Session) -> None:
+        """Until both sides are through with the current batch, or with all if there is none."""
         while True:
             own = Position(self._number, Offer.of(self._current), Offer.of(self._previous))
             peer = Position.read(session.exchange_note(own.as_json()))
