@@ -9,13 +9,12 @@ import time
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from protocols.batch import Matches
 from protocols.catalog import Purpose
+from protocols.descriptors import load_descriptors
 from protocols.matcher import Matcher
 from spdz.errors import SpdzError
 from spdz.progress import progress_bar
@@ -62,21 +61,6 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add("--json", action="store_true", help="one JSON object on standard output")
     add("--quiet", action="store_true", help="no progress bar")
     arguments.set_defaults(run=run_match)
-
-
-def load_descriptors(path: Path) -> npt.NDArray[Any]:
-    """Read an array from a ``.npy`` file; pickled objects are refused."""
-    try:
-        array = np.load(path, allow_pickle=False)
-    except OSError as error:
-        raise ValueError(f"cannot read descriptors from {path}: {error.strerror or error}") from None
-    except (ValueError, EOFError):
-        raise ValueError(
-            f"cannot read descriptors from {path}: not a .npy file of numbers (write one with numpy.save)"
-        ) from None
-    if not isinstance(array, np.ndarray):
-        raise ValueError(f"cannot read descriptors from {path}: an .npz; save one array with numpy.save")
-    return array
 
 
 def run_match(options: argparse.Namespace) -> int:
