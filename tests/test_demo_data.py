@@ -1,5 +1,9 @@
 """The demo's data: the log's format, what descriptors keep, and how good the matches are."""
 
+import os
+import re
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -8,10 +12,12 @@ import numpy.typing as npt
 import pytest
 
 from bench.demo import dataset, places, scan_context
+from bench.demo.cli import NEEDS
 from bench.demo.dataset import Run
 from bench.demo.places import Robot, robots, truth
 from spdz.types import FloatArray
 
+ROOT = Path(__file__).resolve().parent.parent
 SCAN = "ROBOTLASER1 0 -1.570796 3.141593 1.570796 50.0 0.1 0 3 1.5 2.5 50.9 0 1 2 0.5 1 2 0.5"
 LOG = f"""#SEQUENTIAL EDGES
 VERTEX_SE2 0 1.0 2.0 0.5
@@ -69,13 +75,54 @@ def test_damaged_log_is_refused_with_its_line(old: str, new: str, words: str) ->
         dataset.parse(LOG.replace(old, new, 1).splitlines())
 
 
-def test_missing_package_names_the_extra_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_scans_are_told_by_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(_: str) -> None:
         raise ModuleNotFoundError("No module named 'rtbdata'")
 
     monkeypatch.setattr("importlib.resources.files", missing)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install -e '.\[demo\]'"):
+    with pytest.raises(ModuleNotFoundError, match="rtb-data"):
         dataset.load()
+
+
+# --- the command -----------------------------------------------------------------------------------------
+
+
+def demo(folder: Path, *words: str, without: str = "") -> "subprocess.CompletedProcess[str]":
+    """Run the demo's command in a folder, as if a module were not installed."""
+    code = f"import sys; sys.modules[{without!r}] = None; from spdz.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "demo", *words]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.mark.parametrize("module", ["rtbdata", "matplotlib", "rich"])
+def test_missing_extra_is_told_with_a_command_that_installs_it(module: str, tmp_path: Path) -> None:
+    for other in {"rtbdata", "matplotlib", "rich"} - {module}:
+        pytest.importorskip(other)
+    result = demo(tmp_path, without=module)
+    assert result.returncode == 1 and not result.stdout and "Traceback" not in result.stderr
+    advice = result.stderr.splitlines()[-1]
+    assert module.replace("rtbdata", "rtb-data") in advice.partition("The demo needs")[0]
+    _, _, command = advice.rpartition(": ")
+    assert shlex.split(command) == [sys.executable, "-m", "pip", "install", *NEEDS]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_names_what_the_extra_names() -> None:
+    extra = re.search(
+        r"^demo = \[(.*)\]$", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert extra is not None and re.findall(r'"([^"]+)"', extra.group(1)) == list(NEEDS)
+
+
+def test_folder_that_cannot_be_made_is_told_in_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("rtbdata")
+    (tmp_path / "file").write_text("")
+    result = demo(tmp_path, "--out", "file/map")
+    assert result.returncode == 1 and "file/map" in result.stderr and "Traceback" not in result.stderr
 
 
 # --- descriptors -----------------------------------------------------------------------------------------

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import shutil
 import sys
 from pathlib import Path
+
+NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13")
+"""The extra ``demo``."""
 
 
 def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -30,14 +34,12 @@ def _run(options: argparse.Namespace) -> int:
         from bench.demo.report import show
         from bench.demo.run import DemoFailed, run_demo
     except ImportError as error:
-        print(
-            f"python -m spdz demo: {error}; install the demo's extras: pip install -e '.[demo]'",
-            file=sys.stderr,
-        )
-        return 1
+        return _missing(error)
     try:
         report = run_demo(options.out, options.security)
-    except (DemoFailed, ImportError) as error:
+    except ImportError as error:
+        return _missing(error)
+    except (DemoFailed, OSError) as error:
         print(f"python -m spdz demo: {error}", file=sys.stderr)
         return 1
     if options.json:
@@ -45,3 +47,10 @@ def _run(options: argparse.Namespace) -> int:
         return 0
     show(report, shutil.get_terminal_size().columns)
     return 0
+
+
+def _missing(error: ImportError) -> int:
+    """Say what to install: the packages by name, which holds for a clone, an editable install and a wheel."""
+    command = shlex.join([sys.executable, "-m", "pip", "install", *NEEDS])
+    print(f"python -m spdz demo: {error}. The demo needs more than the engine: {command}", file=sys.stderr)
+    return 1

@@ -62,9 +62,7 @@ def load() -> Run:
     try:
         archive = resources.files("rtbdata") / ARCHIVE
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "the demo's laser scans are in the package rtb-data: pip install -e '.[demo]'"
-        ) from error
+        raise ModuleNotFoundError("the laser scans are in the package rtb-data, which is missing") from error
     if not archive.is_file():
         raise FileNotFoundError(
             f"rtb-data is installed but has no {ARCHIVE}: pip install --upgrade --force-reinstall rtb-data"

@@ -77,10 +77,11 @@ def run_demo(out: Path, security: Security = "malicious") -> Report:
     Raises:
         DemoFailed: if a robot's process fails.
         ImportError: if the extra ``spdz[demo]`` is not installed.
+        OSError: if the picture or the tapes cannot be written.
     """
-    out.mkdir(parents=True, exist_ok=True)
     _say("reading 3,873 laser scans and describing the keyframes of two robots")
     run = dataset.load()
+    out.mkdir(parents=True, exist_ok=True)
     alice, bob = places.robots(run)
     with tempfile.TemporaryDirectory(prefix="spdz-demo-") as folder:
         purpose = Purpose("S10", dim=alice.descriptors.shape[1], tile=TILE, max_norm=1.0)
