@@ -3,8 +3,10 @@
 import argparse
 import dataclasses
 import importlib
+import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -81,14 +83,11 @@ def run_commands(commands: list[str], folder: Path) -> str:
     return "\n".join(outputs)
 
 
-@pytest.mark.parametrize("page", WITH_EXAMPLES, ids=name)
-def test_examples_run_as_they_stand(page, tmp_path, monkeypatch):
-    """Python blocks share one namespace and one folder, and commands run where they stand between them.
+def follow(page: Path, folder: Path) -> None:
+    """Run a page in a folder: Python blocks share one namespace, commands run where they stand between them.
 
     A line ``match: ...`` that the page shows is one that its commands print.
     """
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     namespace: dict[str, object] = {"__name__": "example"}
     ran, printed = 0, ""
     for number, (language, body) in enumerate(FENCE.findall(read(page))):
@@ -96,11 +95,47 @@ def test_examples_run_as_they_stand(page, tmp_path, monkeypatch):
         if language == "python":
             exec(compile(source, f"{name(page)}, block {number}", "exec"), namespace)
         elif language == "bash":
-            printed += run_commands(source.splitlines(), tmp_path)
+            printed += run_commands(source.splitlines(), folder)
         ran += language in ("python", "bash")
     assert ran >= 4
     for line in re.findall(r"match: \w+ \d+  \w+ \d+", read(page)):
         assert line in printed
+
+
+@pytest.mark.timeout(600)
+def test_all_pages_can_be_followed_in_one_clone_and_leave_nothing_that_git_would_show(tmp_path, monkeypatch):
+    clone = tmp_path / "clone"
+    clone.mkdir()
+    shutil.copy(ROOT / ".gitignore", clone)
+    monkeypatch.chdir(clone)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    for page in WITH_EXAMPLES:
+        follow(page, clone)
+    assert len(list(clone.iterdir())) > len(WITH_EXAMPLES)
+    assert git_shows(clone) == {".gitignore"}
+
+
+def git_shows(folder: Path) -> set[str]:
+    """What git would show as new in a folder, going by its ``.gitignore`` alone."""
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed")
+    nobody = os.environ | {"GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_NOSYSTEM": "1"}
+    git = ["git", "-C", str(folder)]
+    subprocess.run([*git, "init", "--quiet", "--template="], env=nobody, check=True)
+    status = subprocess.run(
+        [*git, "status", "--porcelain"], env=nobody, check=True, capture_output=True, text=True
+    )
+    return {line.removeprefix("?? ") for line in status.stdout.splitlines()}
+
+
+def test_no_two_commands_of_the_pages_deal_into_one_folder_and_git_ignores_each(tmp_path):
+    shutil.copy(ROOT / ".gitignore", tmp_path)
+    folders = [folder for page in WITH_EXAMPLES for folder in re.findall(r"--out (\S+)", read(page))]
+    assert len(folders) == len(set(folders)) >= 3
+    for folder in [*folders, "demo-output"]:
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "file").touch()
+    assert git_shows(tmp_path) == {".gitignore"}
 
 
 @pytest.mark.parametrize("page", WITH_EXAMPLES, ids=name)
