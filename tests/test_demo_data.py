@@ -125,6 +125,40 @@ def test_folder_that_cannot_be_made_is_told_in_one_line(tmp_path: Path) -> None:
     assert result.returncode == 1 and "file/map" in result.stderr and "Traceback" not in result.stderr
 
 
+def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rich")
+    pytest.importorskip("matplotlib")
+    from bench.demo.report import show
+    from bench.demo.run import Report
+
+    report = Report(
+        security="malicious",
+        keyframes=(9, 11),
+        dimension=8,
+        threshold=0.5,
+        pairs=99,
+        candidates=31,
+        clear_candidates=28,
+        private_quality=places.Quality(0.9, 0.7, 21, 2),
+        clear_quality=places.Quality(0.8, 0.6, 20, 3),
+        disagreements=3,
+        dealt_comparisons=120,
+        dealing_seconds=0.5,
+        folder_bytes=(1000, 1000),
+        bytes_sent=(2000, 2000),
+        rounds=20,
+        milliseconds=100.0,
+        clear_bytes=(300, 300),
+        clear_milliseconds=0.1,
+        picture="map.png",
+    )
+    show(report, 100)
+    found = re.findall(r"│ (.*?) +│ +(\d+) │ +(\d+) │", capsys.readouterr().out)
+    rows = {label: (int(private), int(clear)) for label, private, clear in found}
+    parts = ("same place by the pose graph", "1 to 4 m apart, not counted", "another place")
+    assert [sum(column) for column in zip(*(rows[part] for part in parts), strict=True)] == [31, 28]
+
+
 # --- descriptors -----------------------------------------------------------------------------------------
 
 

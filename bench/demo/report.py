@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from bench.demo.places import Quality
+from bench.demo.places import DIFFERENT, SAME, Quality
 from bench.demo.run import Report
 
 
@@ -32,6 +32,8 @@ def _found(report: Report) -> Table:
         f"candidates (score >= {report.threshold})", f"{report.candidates:,}", f"{report.clear_candidates:,}"
     )
     table.add_row("same place by the pose graph", _places(private), _places(clear))
+    between = f"{SAME:.0f} to {DIFFERENT:.0f} m apart, not counted"
+    table.add_row(between, _neither(report.candidates, private), _neither(report.clear_candidates, clear))
     table.add_row("another place", str(private.false_positives), str(clear.false_positives))
     table.add_row("precision", f"{private.precision:.2f}", f"{clear.precision:.2f}")
     table.add_row("recall", f"{private.recall:.2f}", f"{clear.recall:.2f}")
@@ -41,6 +43,10 @@ def _found(report: Report) -> Table:
 
 def _places(quality: Quality) -> str:
     return str(quality.true_positives)
+
+
+def _neither(candidates: int, quality: Quality) -> str:
+    return str(candidates - quality.true_positives - quality.false_positives)
 
 
 def _cost(report: Report) -> Table:
