@@ -193,8 +193,8 @@ class Matcher:
     def finish(self) -> None:
         """Tell the peer that no further batch comes, and let it have what it has missed.
 
-        If it cannot be reached for ten seconds it has probably ended too; that and a peer with further batches
-        are told as events, since all results are there already.
+        If it cannot be reached for ten seconds it has probably ended too; that and a peer with further
+        batches are told as events, since all results are there already.
 
         Raises:
             SpdzError: if the peer cheats.
