@@ -16,7 +16,7 @@ from bench.exact import exact_score, raw, units
 from bench.inputs import KINDS, draw
 from bench.recorded_accuracy import compare_with_recorded, print_recorded
 from protocols.scores import SCORES, Score
-from spdz.command import run_command
+from spdz.command import CommandParser, run_command
 from spdz.fixed_point import MAX_NORM
 from spdz.local import run_local
 from spdz.progress import Report, progress_bar
@@ -116,7 +116,7 @@ def measure(options: argparse.Namespace, report: Report) -> Iterator[AccuracyRow
 def parser() -> argparse.ArgumentParser:
     """The arguments of ``python -m bench accuracy``."""
     kinds = "\n".join(f"  {kind.name:9}{kind.what}" for kind in KINDS.values())
-    arguments = argparse.ArgumentParser(
+    arguments = CommandParser(
         prog="python -m bench accuracy",
         description="Measure how far secure scores are from the true ones.",
         epilog=_EPILOG.format(kinds=kinds),

@@ -22,7 +22,7 @@ from bench.recorded import recorded
 from protocols import is_candidate
 from protocols.scores import SCORES
 from protocols.textbook import TEXTBOOK
-from spdz.command import run_command
+from spdz.command import CommandParser, run_command
 from spdz.local import run_clear
 from spdz.program import Program
 
@@ -128,7 +128,7 @@ def sweep(options: argparse.Namespace) -> Iterator[Row]:
 
 def parser() -> argparse.ArgumentParser:
     """The arguments of ``python -m bench``."""
-    arguments = argparse.ArgumentParser(
+    arguments = CommandParser(
         prog="python -m bench",
         description="Measure time, bytes and rounds of one comparison between two processes.",
         epilog=_EPILOG,

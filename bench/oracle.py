@@ -16,7 +16,7 @@ from bench.inputs import KINDS, draw
 from bench.mp_spdz import PROTOCOLS, VERSION, MpSpdz, MpSpdzError, MpSpdzMissing
 from bench.mpc import BODIES
 from protocols.scores import SCORES
-from spdz.command import run_command
+from spdz.command import CommandParser, run_command
 from spdz.fixed_point import MAX_NORM
 from spdz.types import FloatArray
 
@@ -87,7 +87,7 @@ def _row(
 def parser() -> argparse.ArgumentParser:
     """The arguments of ``python -m bench oracle``."""
     scores = [name for name in SCORES if name in BODIES]
-    arguments = argparse.ArgumentParser(
+    arguments = CommandParser(
         prog="python -m bench oracle",
         description="Compute scores with MP-SPDZ and with this engine, and compare both with the true ones.",
         epilog=_EPILOG,

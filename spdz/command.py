@@ -1,30 +1,89 @@
-"""What a command does to its own process; the library never does, since it changes the whole process."""
+"""What a command does to its own process; the library never does, since it changes the whole process.
+
+The exit status of every command: 0 done, 1 it failed, 2 bad input or usage, 130 interrupted. An error is one
+line on standard error; with ``--json`` it is one JSON object on standard output.
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
 import numpy as np
 
+from spdz.streams import guarded_streams
+
 _HEAP_BYTES = 16 << 20
+FAILED = 1
 INTERRUPTED = 130
 """Exit status after Ctrl-C or SIGTERM, as shells have it."""
 
 
-def run_command(name: str, main: Callable[[], int]) -> int:
-    """Run a command with quick memory and a quiet end: Ctrl-C and SIGTERM end it in one line.
+def run_command(name: str, main: Callable[[], int], *, as_json: bool = False) -> int:
+    """Run a command with quick memory and a quiet end: no traceback for what a user or a machine can do.
 
-    Both unwind the stack, so that the peer is told and half-written files are removed.
+    Ctrl-C and SIGTERM unwind the stack, so that the peer is told and half-written files are removed. A closed
+    pipe behind standard output changes nothing. Output that cannot be written otherwise makes a success a
+    failure. Memory that runs out is one line.
+
+    Args:
+        name: What messages call the command.
+        main: Does the work and returns the exit status. It may end by ``SystemExit``, as parsers do.
+        as_json: Whether the user asked for JSON.
     """
     keep_large_arrays_on_the_heap()
-    try:
-        signal.signal(signal.SIGTERM, _interrupt)
-        return main()
-    except KeyboardInterrupt:
-        print(f"\n{name}: interrupted", file=sys.stderr)
-        return INTERRUPTED
+    with guarded_streams() as output:
+        try:
+            signal.signal(signal.SIGTERM, _interrupt)
+            status = main()
+        except KeyboardInterrupt:
+            print(f"\n{name}: interrupted", file=sys.stderr)
+            status = INTERRUPTED
+        except MemoryError as error:
+            what = str(error) or "an allocation failed"
+            say_error(name, "MemoryError", f"not enough memory ({what}): use smaller tiles", as_json=as_json)
+            status = FAILED
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else FAILED * (end.code is not None)
+        output.flush()
+        if output.error is not None and not isinstance(output.error, BrokenPipeError):
+            print(f"{name}: cannot write to standard output: {output.error.strerror}", file=sys.stderr)
+            status = status or FAILED
+    return status
+
+
+def say_error(name: str, kind: str, message: str, *, as_json: bool) -> None:
+    """Tell one error: a line on standard error, or a JSON object on standard output."""
+    if as_json:
+        print(json.dumps({"error": kind, "message": message}))
+    else:
+        print(f"{name}: {message}", file=sys.stderr)
+
+
+class CommandParser(argparse.ArgumentParser):
+    """An argument parser whose usage errors are JSON as well where JSON is asked for."""
+
+    _words: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As the base class."""
+        self._words = list(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Usage and message on standard error, and a JSON object on standard output if asked for."""
+        if wants_json(self._words):
+            say_error(self.prog, "UsageError", message, as_json=True)
+        super().error(message)
+
+
+def wants_json(words: Sequence[str]) -> bool:
+    """Whether ``--json``, or what the parser takes for it, is among the arguments."""
+    return any(len(word) > 2 and "--json".startswith(word) for word in words)
 
 
 def _interrupt(number: int, frame: object) -> None:
