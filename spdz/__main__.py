@@ -6,26 +6,38 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from spdz.command import run_command
+from spdz.command import CommandParser, run_command, wants_json
 from spdz.version import __version__
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    return run_command("python -m spdz", lambda: _main(words), as_json=wants_json(words))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments of every command."""
     from bench.demo.cli import add_demo
     from protocols.cli import add_match
+    from protocols.tape_cli import add_tape
 
-    parser = argparse.ArgumentParser(
+    arguments: argparse.ArgumentParser = CommandParser(
         prog="python -m spdz",
         description="Two robots learn whether two place descriptors match, and nothing else.",
         epilog="To deal tapes before a mission: python -m spdz.dealer --help",
     )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = arguments.add_subparsers(required=True, metavar="COMMAND")
     add_match(commands)
+    add_tape(commands)
     add_demo(commands)
-    parser.add_argument("--version", action="version", version=f"spdz {__version__}")
-    options = parser.parse_args(argv)
-    return run_command("python -m spdz", lambda: int(options.run(options)))
+    arguments.add_argument("--version", action="version", version=f"spdz {__version__}")
+    return arguments
+
+
+def _main(words: Sequence[str]) -> int:
+    options = parser().parse_args(words)
+    return int(options.run(options))
 
 
 if __name__ == "__main__":

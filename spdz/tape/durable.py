@@ -9,12 +9,14 @@ import errno
 import fcntl
 import os
 import secrets
+import time
 from pathlib import Path
 
 from spdz.types import Buffer
 
 PRIVATE_FILE = 0o600
 PRIVATE_FOLDER = 0o700
+_LOCK_ATTEMPTS, _LOCK_PAUSE = 10, 0.01
 
 
 def sync(descriptor: int) -> None:
@@ -94,12 +96,27 @@ def replace_file(path: Path, data: bytes) -> None:
 
 
 def try_lock(descriptor: int) -> bool:
-    """Take the file's exclusive lock without waiting; False if somebody else holds it.
+    """Take the file's exclusive lock; False if somebody else holds it.
 
-    The lock goes with the last descriptor of this open file, so a dead process never leaves one behind.
+    The lock goes with the last descriptor of this open file, so a dead process never leaves one behind. It is
+    tried for a moment, because :func:`is_locked` in another process holds it for an instant.
     """
+    for attempt in range(_LOCK_ATTEMPTS):
+        if attempt:
+            time.sleep(_LOCK_PAUSE)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            continue
+        return True
+    return False
+
+
+def is_locked(descriptor: int) -> bool:
+    """Whether somebody holds the file's exclusive lock; it may be open for reading only."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return False
-    return True
+        return True
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False

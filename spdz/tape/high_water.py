@@ -68,14 +68,14 @@ class HighWater:
     """
 
     def __init__(self, folder: Path, tape: str, party: int) -> None:
-        self._path = folder / f"{tape}-{party}.mark"
-        self._identity = f"spdz-high-water 1 {tape} {party}"
+        self._of = (folder, tape, party)
+        self._path = mark_path(*self._of)
         try:
             make_private_folder(folder)
             lock = self._path.with_suffix(".lock")
             self._lock = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, PRIVATE_FILE)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise _unusable(self._path, error) from error
         try:
             if not try_lock(self._lock):
                 raise TapeInUse(f"tape {tape} of party {party}, or a copy of it, is open elsewhere ({lock})")
@@ -90,22 +90,7 @@ class HighWater:
             TapeDamaged: The file is not a whole mark of this tape.
             TapeError: The file cannot be read.
         """
-        try:
-            with self._path.open("rb") as file:
-                content = file.read(_LONGEST)
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise self._unwritable(error) from error
-        fields = content.split()
-        if len(fields) == 7 and fields[4].isdigit() and len(fields[4]) <= 20:
-            mark = Mark(int(fields[4]), fields[5] == b"destroyed")
-            if content == self._encode(mark):
-                return mark
-        raise TapeDamaged(
-            f"{self._path}: the high-water mark is damaged, so it is unknown which jobs were used. "
-            "Deal a new pair of tapes"
-        )
+        return read_mark(*self._of)
 
     def write(self, mark: Mark) -> None:
         """Replace the mark; on return it is on the disk.
@@ -114,20 +99,48 @@ class HighWater:
             TapeError: It cannot be written.
         """
         try:
-            replace_file(self._path, self._encode(mark))
+            replace_file(self._path, _encode(mark, *self._of[1:]))
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise _unusable(self._path, error) from error
 
     def close(self) -> None:
         """Give the lock back."""
         os.close(self._lock)
 
-    def _encode(self, mark: Mark) -> bytes:
-        line = f"{self._identity} {mark.cursor} {'destroyed' if mark.destroyed else 'live'}"
-        return f"{line} {hashlib.blake2b(line.encode(), digest_size=16).hexdigest()}\n".encode()
 
-    def _unwritable(self, error: OSError) -> TapeError:
-        return TapeError(
-            f"cannot keep the high-water mark {self._path} ({error.strerror}), which is what notices a tape "
-            "copied back from a backup. Pass a state_dir that can be written, or set XDG_STATE_HOME to one"
-        )
+def mark_path(folder: Path, tape: str, party: int) -> Path:
+    """The file of a tape and party; its lock has the suffix ``.lock``."""
+    return folder / f"{tape}-{party}.mark"
+
+
+def read_mark(folder: Path, tape: str, party: int) -> Mark | None:
+    """Read a mark without its lock, for those who only look; otherwise as :meth:`HighWater.read`."""
+    path = mark_path(folder, tape, party)
+    try:
+        with path.open("rb") as file:
+            content = file.read(_LONGEST)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise _unusable(path, error) from error
+    fields = content.split()
+    if len(fields) == 7 and fields[4].isdigit() and len(fields[4]) <= 20:
+        mark = Mark(int(fields[4]), fields[5] == b"destroyed")
+        if content == _encode(mark, tape, party):
+            return mark
+    raise TapeDamaged(
+        f"{path}: the high-water mark is damaged, so it is unknown which jobs were used. "
+        "Deal a new pair of tapes"
+    )
+
+
+def _encode(mark: Mark, tape: str, party: int) -> bytes:
+    line = f"spdz-high-water 1 {tape} {party} {mark.cursor} {'destroyed' if mark.destroyed else 'live'}"
+    return f"{line} {hashlib.blake2b(line.encode(), digest_size=16).hexdigest()}\n".encode()
+
+
+def _unusable(path: Path, error: OSError) -> TapeError:
+    return TapeError(
+        f"cannot keep the high-water mark {path} ({error.strerror}), which is what notices a tape "
+        "copied back from a backup. Pass a state_dir that can be written, or set XDG_STATE_HOME to one"
+    )

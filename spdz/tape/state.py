@@ -23,6 +23,7 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from spdz.tape.durable import sync, write_at
@@ -68,6 +69,16 @@ def _decode_slot(slot: bytes, binding: bytes) -> tuple[int, State] | None:
     return sequence, State(cursor, chain, alpha, destroyed)
 
 
+def latest_slot(slots: Sequence[bytes], binding: bytes) -> tuple[int, State, int] | None:
+    """Sequence number, state and place of the latest whole slot; None if neither is whole."""
+    whole = [
+        (*decoded, which)
+        for which, slot in enumerate(slots)
+        if (decoded := _decode_slot(slot, binding)) is not None
+    ]
+    return max(whole, key=lambda entry: entry[0]) if whole else None
+
+
 def _slot_digest(body: bytes, binding: bytes) -> bytes:
     return hashlib.blake2b(binding + body, digest_size=DIGEST, person=b"spdz-tape-state").digest()
 
@@ -91,14 +102,10 @@ class StateSlots:
     def load(self) -> State | None:
         """Read the latest state and finish an interrupted step; None if neither slot is whole."""
         slots = [os.pread(self._descriptor, SECTOR, offset) for offset in self._offsets]
-        whole = [
-            (*decoded, which)
-            for which, slot in enumerate(slots)
-            if (decoded := _decode_slot(slot, self._binding)) is not None
-        ]
-        if not whole:
+        latest = latest_slot(slots, self._binding)
+        if latest is None:
             return None
-        self._sequence, state, self._current = max(whole, key=lambda entry: entry[0])
+        self._sequence, state, self._current = latest
         if slots[1 - self._current] != _ZEROS:
             sync(self._descriptor)
             self._wipe(1 - self._current)

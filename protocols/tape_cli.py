@@ -1,0 +1,163 @@
+"""``python -m spdz tape``: what tapes are for and what is left of them, without touching them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from protocols.catalog import Purpose
+from protocols.memory import in_bytes
+from protocols.scores import SCORES
+from spdz.errors import TapeError
+from spdz.tape import TapeHeader, TapeStatus, tape_status
+
+_ID_DIGITS = 12
+
+_EPILOG = """\
+examples:
+  python -m spdz tape mission/alice/bob.tape      one tape
+  python -m spdz tape mission/                    every tape below a folder
+  python -m spdz tape --json ~/mission | jq .comparisons_left
+
+Public facts only, no key and nothing that was compared. The tape is not changed and not locked: look at it
+while a robot uses it ("in use"). Both robots' tapes of a pair carry the same tape id; tapes and certificates
+of two dealer runs (mission ids) do not mix.
+
+A job is used as a whole. "Left" counts what this robot may still use; when the two robots meet, both go on
+from the one of them that has used more.
+
+Exit status: 0, or 2 if a file is missing, damaged or no tape (the others are shown all the same).
+"""
+
+
+def add_tape(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the ``tape`` command."""
+    arguments = commands.add_parser(
+        "tape",
+        help="show what a tape is for and what is left of it",
+        description="Show what tapes are for, how many comparisons are left, and how to deal more.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = arguments.add_argument
+    add("files", nargs="+", type=Path, metavar="FILE", help="tapes, or folders to look for tapes in")
+    add("--state-dir", type=Path, metavar="DIR", help="where used tapes are recorded a second time")
+    add("--json", action="store_true", help="one JSON object a line, for each tape")
+    arguments.set_defaults(run=run_tape)
+
+
+def run_tape(options: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    result = 0
+    for path in options.files:
+        try:
+            for tape in _tapes(path):
+                try:
+                    status = tape_status(tape, options.state_dir)
+                    print(json.dumps(_facts(tape, status)) if options.json else _text(tape, status))
+                except TapeError as error:
+                    result = _refuse(tape, type(error).__name__, str(error), as_json=options.json)
+        except OSError as error:
+            result = _refuse(path, type(error).__name__, f"{path}: {error.strerror}", as_json=options.json)
+    return result
+
+
+def _tapes(path: Path) -> Iterator[Path]:
+    """The file itself, or all tapes below a folder."""
+    if not path.is_dir():
+        yield path
+        return
+    found = sorted(path.rglob("*.tape"))
+    if not found:
+        raise FileNotFoundError(2, "no *.tape in this folder")
+    yield from found
+
+
+def _refuse(path: Path, kind: str, message: str, *, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps({"file": str(path), "error": kind, "message": message}))
+    else:
+        print(f"python -m spdz tape: {kind}: {message}", file=sys.stderr)
+    return 2
+
+
+def _purpose(header: TapeHeader) -> Purpose | None:
+    """What the dealer's command dealt the tape for; None for programs of the user's own."""
+    try:
+        return Purpose.from_json(header.program)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return None
+
+
+def _facts(path: Path, status: TapeStatus) -> dict[str, Any]:
+    header, purpose = status.header, _purpose(status.header)
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "robot": header.name,
+        "peer": header.peer,
+        "agents": list(header.agents),
+        "security": header.security,
+        **(purpose.as_json() if purpose else {"program": header.program}),
+        "jobs": header.jobs,
+        "used": status.used,
+        "left": status.left,
+        "bytes": status.size,
+        "mission": header.mission[:_ID_DIGITS],
+        "tape": header.tape[:_ID_DIGITS],
+        "in_use": status.in_use,
+        "destroyed": status.destroyed,
+        "rolled_back": status.rolled_back,
+    }
+    if purpose is not None:
+        facts |= {"comparisons_left": status.left * purpose.pairs, "dealer_command": header.dealer_command}
+    return facts
+
+
+def _text(path: Path, status: TapeStatus) -> str:
+    header, purpose = status.header, _purpose(status.header)
+    lines = [
+        f"{path}",
+        f"  robot     {header.name}, to compare with {header.peer} (pair {' '.join(header.agents)})",
+        f"  purpose   {_shown(header, purpose)}, {header.security}",
+        f"  left      {_left(status, purpose)}",
+        f"  state     {_state(status)}",
+        f"  file      {in_bytes(status.size)}, mission {header.mission[:_ID_DIGITS]}, "
+        f"tape {header.tape[:_ID_DIGITS]}",
+    ]
+    if purpose is not None:
+        lines += [f"  note      {purpose.hint}"] if purpose.hint and purpose.reveal == "bit" else []
+        lines.append(f"  deal more {header.dealer_command}")
+    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+
+
+def _shown(header: TapeHeader, purpose: Purpose | None) -> str:
+    if purpose is None:
+        return f"a program of your own, inputs of shapes {header.program.get('shapes')}"
+    opened = "the candidate bit alone" if purpose.reveal == "bit" else "the score itself"
+    return (
+        f"{SCORES[purpose.score]} of {purpose.dim}-D descriptors of norm at most {purpose.max_norm:g}; "
+        f"opens {opened}"
+    )
+
+
+def _left(status: TapeStatus, purpose: Purpose | None) -> str:
+    jobs = f"{status.left} of {status.header.jobs} jobs"
+    if purpose is None:
+        return jobs
+    (first, second), (rows, columns) = status.header.agents, purpose.tile
+    tile = f"{rows} of {first} x {columns} of {second}"
+    return f"{status.left * purpose.pairs} comparisons in {jobs} ({tile} descriptors a job)"
+
+
+def _state(status: TapeStatus) -> str:
+    if status.destroyed:
+        return "destroyed after a failed MAC check: deal a new pair of tapes, and ask why it failed"
+    if status.in_use:
+        return "in use by a process right now"
+    if status.rolled_back:
+        return "an older copy of itself, or a run was interrupted: the jobs in between count as used"
+    return "used up" if not status.left else "unused" if not status.used else "ready"
