@@ -10,14 +10,17 @@ from __future__ import annotations
 import secrets
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from pathlib import Path
 
-from dealer.pki import MissionAuthority, write_credentials
-from dealer.tapes import deal_tapes
+from dealer.limits import check_job
+from dealer.pki import MissionAuthority, check_name, write_credentials
+from dealer.tapes import deal_tapes, tape_bytes
 from protocols.catalog import Purpose
+from protocols.memory import in_bytes
 from spdz.meter import measure
 from spdz.types import Security
 
@@ -65,19 +68,20 @@ def deal_mission(
         ValueError: for bad names, fewer than two robots, or a count below one.
         FileExistsError: if a robot's folder exists: dealt material is never overwritten.
     """
-    if len(agents) < 2 or len(set(agents)) != len(agents):
-        raise ValueError("name two or more different robots")
+    check_agents(agents)
     if comparisons < 1:
         raise ValueError("deal at least one comparison")
+    plan = measure(purpose.dealt_program, purpose.shapes, security)
+    check_job(plan)
     authority = MissionAuthority()
     credentials = {agent: authority.credentials(agent) for agent in agents}
     authority.forget()
-    needed = mission_bytes(len(agents), purpose, comparisons, security)
-    out.mkdir(parents=True, exist_ok=True)
-    free = shutil.disk_usage(out).free
+    needed = mission_bytes(agents, purpose, comparisons, security)
+    there = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
+    free = shutil.disk_usage(there).free
     if needed > free:
         raise ValueError(
-            f"the tapes would take {needed / 1e9:.1f} GB and {free / 1e9:.1f} GB are free in {out}: deal "
+            f"the tapes would take {in_bytes(needed)} and {in_bytes(free)} are free in {there}: deal "
             "fewer comparisons, larger tiles or a smaller max_norm"
         )
     for agent in agents:
@@ -85,6 +89,8 @@ def deal_mission(
             raise FileExistsError(
                 f"{out / agent} exists; dealt material is never overwritten: choose another --out"
             )
+    fresh = not out.exists()
+    out.mkdir(parents=True, exist_ok=True)
     try:
         for agent in agents:
             write_credentials(out / agent, credentials[agent])
@@ -106,23 +112,44 @@ def deal_mission(
     except BaseException:
         for agent in agents:  # half a mission is of no use, and these folders were not there before
             shutil.rmtree(out / agent, ignore_errors=True)
+        if fresh:
+            with suppress(OSError):  # somebody else's files are in it by now
+                out.rmdir()
         raise
     sizes = {out / agent: sum(file.stat().st_size for file in (out / agent).iterdir()) for agent in agents}
     return Dealt(sizes, jobs * purpose.pairs, jobs, len(couples))
 
 
-def mission_bytes(agents: int, purpose: Purpose, comparisons: int, security: Security) -> int:
-    """What all tapes of a mission will take on the disk, about.
+def check_agents(agents: Sequence[str]) -> None:
+    """Refuse a team that no mission can be dealt for.
+
+    Raises:
+        ValueError: for fewer than two robots, or bad or repeated names.
+    """
+    if len(agents) < 2 or len(set(agents)) != len(agents):
+        raise ValueError("name two or more different robots")
+    for number, agent in enumerate(agents):
+        check_name(agent, {other.lower() for other in agents[:number]})
+
+
+def mission_bytes(agents: Sequence[str], purpose: Purpose, comparisons: int, security: Security) -> int:
+    """What all tapes of a mission will take on the disk, exactly.
 
     Args:
-        agents: Number of robots.
+        agents: The robots' names.
         purpose: What the tapes are for.
         comparisons: Comparisons for each pair.
         security: The security model.
+
+    Raises:
+        ValueError: for a purpose that the engine refuses, or more jobs than a tape can have.
     """
     plan = measure(purpose.dealt_program, purpose.shapes, security)
-    jobs = -(-comparisons // purpose.pairs)
-    return agents * (agents - 1) // 2 * jobs * sum(plan.correction_bytes)
+    jobs, about = -(-comparisons // purpose.pairs), purpose.as_json()
+    return sum(
+        sum(tape_bytes(plan, couple, purpose.shapes, jobs, security, description=about))
+        for couple in combinations(agents, 2)
+    )
 
 
 def _progress_of(report: Callable[[int, int], None], before: int, total: int, done: int) -> None:

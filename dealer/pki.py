@@ -12,6 +12,7 @@ import contextlib
 import os
 import re
 import secrets
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -43,6 +44,25 @@ class Credentials:
     cert_pem: bytes
     key_pem: bytes = field(repr=False)
     ca_pem: bytes
+
+
+def check_name(name: str, taken: Collection[str]) -> None:
+    """Refuse a robot's name that is malformed or taken.
+
+    Args:
+        name: The name.
+        taken: Names in use, in lower case.
+
+    Raises:
+        ValueError: saying which names will do.
+    """
+    if not _ROBOT_NAME.fullmatch(name):
+        raise ValueError(
+            "a robot's name is 1 to 31 letters, digits, '_' and '-', the first a letter or a digit, "
+            f"not {name!r}"
+        )
+    if name.lower() in taken:
+        raise ValueError(f"there is a robot of the name {name!r} already (upper and lower case count as one)")
 
 
 class MissionAuthority:
@@ -87,15 +107,7 @@ class MissionAuthority:
         """
         if self._key is None:
             raise RuntimeError("this authority has forgotten its key; a new mission takes a new authority")
-        if not _ROBOT_NAME.fullmatch(name):
-            raise ValueError(
-                "a robot's name is 1 to 31 letters, digits, '_' and '-', the first a letter or a digit, "
-                f"not {name!r}"
-            )
-        if name.lower() in self._issued:
-            raise ValueError(
-                f"there is a robot of the name {name!r} already (upper and lower case count as one)"
-            )
+        check_name(name, self._issued)
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = _certificate(
             subject=self._subject(name),

@@ -18,22 +18,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from protocols.batching import jobs_together
 from protocols.catalog import Purpose
 from spdz.meter import measure
 from spdz.program import Program
 from spdz.session import Session
 from spdz.stats import Stats
 from spdz.types import Security
-
-_BATCH_BYTES = 2 << 20
-"""Tiles share rounds up to about this many bytes of masked descriptors."""
-
-_BATCH_DEALT_BYTES = 64 << 20
-"""... this many dealt bytes, which are read ahead,"""
-
-_BATCH_JOBS = 64
-"""... and up to this many jobs, so that one lost batch costs little."""
-
 
 @dataclass(frozen=True, slots=True)
 class Block:
@@ -194,6 +185,5 @@ class Batch:
 
 def tiles_together(purpose: Purpose, program: Program, security: Security) -> int:
     """How many tiles share rounds: enough to fill a round trip, few enough that a lost one costs little."""
-    dealt = max(measure(program, purpose.shapes, security).correction_bytes)
-    masked = 16 * purpose.dim * max(purpose.tile)
-    return max(1, min(_BATCH_JOBS, _BATCH_BYTES // masked, _BATCH_DEALT_BYTES // max(dealt, 1)))
+    plan = measure(program, purpose.shapes, security)
+    return jobs_together(purpose.tile, purpose.dim, plan.correction_bytes)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from link_helpers import DIM, Link, mission, robots, unit
 
-from protocols import Matcher, batch
+from protocols import Matcher, batching
 from protocols.position import Offer, Position, meeting
 from spdz import (
     ChannelClosed,
@@ -130,7 +130,7 @@ def test_what_was_decided_is_kept_when_the_peer_is_gone_for_good(tmp_path):
     reach, put = [], link.calls.put
     link.calls.put = lambda end: None if reach else reach.append(put(end))  # later calls reach nobody
 
-    with patch.object(batch, "_BATCH_JOBS", 1):
+    with patch.object(batching, "MOST_JOBS", 1):
         errors = robots(tmp_path, paths, link, all_batches, wait=0.5)
     for party, error in enumerate(errors):
         assert isinstance(error, ChannelError)
@@ -156,7 +156,7 @@ def test_a_broken_off_batch_can_be_resumed(tmp_path):
         return [matches, *(one.match(batch) for batch in BATCHES[party][1:])]
 
     link = Link([(0, 1800 + k) for k in range(200)], timeout=2.0)
-    with patch.object(batch, "_BATCH_JOBS", 1):
+    with patch.object(batching, "MOST_JOBS", 1):
         check_all(robots(tmp_path, paths, link, work, wait=1.0))
 
 
@@ -238,7 +238,7 @@ def test_a_cheat_in_a_later_run_leaves_what_was_checked_before(tmp_path, securit
         return end
 
     link._call = call
-    with patch.object(batch, "_BATCH_JOBS", 1):
+    with patch.object(batching, "MOST_JOBS", 1):
         honest, _ = robots(tmp_path, paths, link, all_batches, wait=1.0)
     if security == "malicious":
         assert isinstance(honest, MacCheckFailed)

@@ -9,7 +9,7 @@ from session_helpers import run_pair, state_dirs
 
 from dealer.mission import deal_mission
 from dealer.tapes import deal_tapes
-from protocols import batch
+from protocols import batching
 from protocols.catalog import Purpose
 from protocols.matching import match
 from spdz import PeerAborted, TapeExhausted
@@ -175,7 +175,7 @@ def test_batches_are_small_where_keys_are_large(tmp_path, monkeypatch):
     alice, bob = unit(1, 4), unit(2, 3)
     results = []
     for limit in (1 << 40, 1):
-        monkeypatch.setattr(batch, "_BATCH_DEALT_BYTES", limit)
+        monkeypatch.setattr(batching, "DEALT_BYTES", limit)
         folder = tmp_path / str(limit)
         deal_mission(folder, ["alice", "bob"], Purpose("S2", DIM, max_norm=1.0, tile=(2, 2)), 40, "malicious")
         paths = folder / "alice" / "bob.tape", folder / "bob" / "alice.tape"
