@@ -170,6 +170,18 @@ def test_a_job_too_large_for_a_frame_is_refused_when_it_is_dealt(tmp_path):
         deal_tapes((tmp_path / "a", tmp_path / "b"), ("a", "b"), purpose.dealt_program, purpose.shapes, 1)
 
 
+def test_dealing_that_fails_leaves_no_folder(tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    for kept in (False, True):
+        if kept:
+            (tmp_path / "m").mkdir()
+        with pytest.raises(KeyboardInterrupt):
+            deal_mission(tmp_path / "m", ["a", "b"], Purpose("S10", DIM), 1, progress=interrupt)
+        assert (tmp_path / "m").exists() == kept and not list(tmp_path.glob("m/*"))
+
+
 def test_batches_are_small_where_keys_are_large(tmp_path, monkeypatch):
     """As one batch of 64 or in batches of one: the same decisions, in other numbers of rounds."""
     alice, bob = unit(1, 4), unit(2, 3)

@@ -64,6 +64,21 @@ def test_both_kinds_of_masks_and_several_batches_were_among_these():
     assert short.together == batching.MOST_JOBS < short.jobs
 
 
+@pytest.mark.parametrize(
+    ("tile", "dim", "dealt", "together"),
+    [
+        ((1, 1), 4, (10, 10), 64),
+        ((1, 1), 4, (0, 0), 64),
+        ((2, 100), 128, (10, 10), 10),
+        ((100, 2), 128, (10, 10), 10),
+        ((1, 1), 4, (10, 20 << 20), 3),
+        ((4000, 1), 8192, (10, 10), 1),
+    ],
+)
+def test_jobs_share_rounds_up_to_three_limits(tile, dim, dealt, together):
+    assert batching.jobs_together(tile, dim, dealt) == together
+
+
 @pytest.mark.parametrize("maps", [(1, 1), (1, 100), (7, 5), (200, 300), (129, 3)])
 def test_candidates_differ_fit_the_maps_and_waste_little(maps):
     tiles = candidate_tiles(maps)

@@ -17,13 +17,15 @@ FULL = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/fu
 
 
 def shell(line):
-    """Run a line of bash; standard error ends with the first command's status."""
+    """Run a line of bash, with buffered streams; standard error ends with the first command's status."""
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
     result = subprocess.run(
         ["bash", "-c", f"{line}; echo STATUS ${{PIPESTATUS[0]}} >&2"],
         capture_output=True,
         text=True,
         timeout=60,
         check=False,
+        env=buffered,
     )
     told, _, status = result.stderr.rpartition("STATUS ")
     return int(status), result.stdout, told

@@ -1,5 +1,6 @@
 """``python -m spdz tape``: what it shows, that it disturbs nobody, and that it tells no secret."""
 
+import fcntl
 import json
 import os
 import subprocess
@@ -16,6 +17,7 @@ from protocols.catalog import Purpose
 from spdz.__main__ import main
 from spdz.errors import TapeDamaged, TapeDestroyed, TapeError
 from spdz.tape import Tape, tape_status
+from spdz.tape.state import latest_slot
 
 
 @pytest.fixture
@@ -127,6 +129,27 @@ def test_looking_never_keeps_a_robot_from_opening(tape, monkeypatch):
         for thread in looking:
             thread.join()
     assert errors == [] and len(seen) > 10 and set(seen) <= set(range(11))
+
+
+def test_a_look_at_the_lock_only_delays_an_opening(tape):
+    with tape.open("rb") as looking:
+        fcntl.flock(looking, fcntl.LOCK_SH)
+        done = threading.Timer(0.03, fcntl.flock, (looking, fcntl.LOCK_UN))
+        done.start()
+        with Tape.open(tape) as opened:
+            assert opened.cursor == 0
+        done.join()
+
+
+def test_a_state_that_moves_on_between_two_reads_is_read_again(tape, monkeypatch):
+    reads = []
+
+    def torn_at_first(slots, binding):
+        reads.append(slots)
+        return latest_slot(slots, binding) if len(reads) > 2 else None
+
+    monkeypatch.setattr("spdz.tape.status.latest_slot", torn_at_first)
+    assert tape_status(tape).used == 0 and len(reads) == 3
 
 
 def test_an_older_copy_counts_the_jobs_in_between_as_used(tape, capsys):
