@@ -26,6 +26,7 @@ from spdz.session import Session
 from spdz.stats import Stats
 from spdz.types import Security
 
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """Decided pairs of a batch.

@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from protocols.batch import Matches
-from protocols.catalog import Purpose
+from protocols.catalog import Purpose, threshold_warning
 from protocols.descriptors import load_descriptors
 from protocols.matcher import Matcher
+from spdz.command import say_error
 from spdz.errors import SpdzError
 from spdz.progress import progress_bar
 
@@ -85,8 +86,13 @@ def run_match(options: argparse.Namespace) -> int:
             if matcher.rolled_back:
                 _say("note: this tape is an older copy of itself; its used part is skipped")
             matcher.check(descriptors)
-            where = f"on {options.listen}" if options.listen else f"at {options.connect}"
-            _say(f"waiting for {matcher.header.peer} {where}, up to {options.wait:g} s", options.quiet)
+            if warning := threshold_warning(Purpose.from_json(matcher.header.program), options.threshold):
+                _say(f"warning: {warning}")
+            peer = matcher.header.peer
+            where = (
+                f"listening on {options.listen} for" if options.listen else f"calling {options.connect}, for"
+            )
+            _say(f"{where} {peer}, up to {options.wait:g} s", options.quiet)
             with closing(matcher):
                 matcher.connect()
                 started = time.perf_counter()
@@ -107,18 +113,14 @@ def run_match(options: argparse.Namespace) -> int:
 def _print_failure(options: argparse.Namespace, matcher: Matcher | None, error: BaseException) -> None:
     """Print what there is, and why there is no more."""
     partial = None if matcher is None else matcher.partial
-    name, message = type(error).__name__, str(error) or "stopped before the end"
-    failure = {"error": name, "message": message}
-    if options.json:
-        if matcher is None or partial is None:
-            print(json.dumps(failure))
-        else:
-            _print(options, matcher, partial, failure)
-        return
-    if matcher is not None and partial is not None and partial.pairs:
-        _print(options, matcher, partial, {})
-    if not isinstance(error, KeyboardInterrupt):
-        print(f"python -m spdz match: {name}: {message}", file=sys.stderr)
+    kind, message = type(error).__name__, str(error) or "stopped before the end"
+    if matcher is not None and partial is not None and (partial.pairs or options.json):
+        _print(options, matcher, partial, {"error": kind, "message": message} if options.json else {})
+        if options.json:
+            return
+    if not isinstance(error, KeyboardInterrupt) or options.json:
+        text = message if options.json else f"{kind}: {message}"
+        say_error("python -m spdz match", kind, text, as_json=options.json)
 
 
 def _say(sentence: str, quiet: bool = False) -> None:
