@@ -1,0 +1,265 @@
+"""A malicious *party*, and the honest one that runs against it.
+
+A hook that changes frames in transit models the network: the two transcripts differ, and a check fails
+whatever was opened. An insider is stronger. It
+
+- rushes: it sees the honest frame of every exchange, checks included, before it sends its own;
+- keeps its own transcript, of what it really sent and got;
+- *follows* its lie (goes on with what the honest party now takes for opened) or *denies* it (goes on with
+  what would have been opened);
+- answers a check as it likes.
+
+The honest party is the real one: programs, gates, lanes, ``drive``, ``MacCheck``.
+"""
+
+import secrets
+from copy import copy
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from dealer.randomness import MacKey, random_mac_key
+from dealer.recipe import deal_job, deal_stock
+from spdz.coroutine import Check, Exchange
+from spdz.errors import MacCheckFailed, ProtocolViolation, SpdzError
+from spdz.field import P
+from spdz.mac_check import DIGEST_BYTES, MacCheck, drive
+from spdz.meter import measure, measure_stock
+from spdz.party import JobStream, Party
+from spdz.program import declare, quantise, run
+from spdz.session import _all
+from spdz.stats import Stats
+from spdz.stock import StockedParty
+
+SESSION = b"a session"
+
+
+def elements(frame):
+    return [int.from_bytes(frame[start : start + 16], "little") for start in range(0, len(frame), 16)]
+
+
+def frame_of(numbers):
+    return b"".join(number.to_bytes(16, "little") for number in numbers)
+
+
+class Ledger(MacCheck):
+    """The insider's MAC check: it believes whatever it gets, and tells what its hash would be otherwise."""
+
+    def __init__(self, alpha, party, session):
+        super().__init__(alpha, party, session)
+        self.history = []
+        """For each check so far, its own true hash and the honest one."""
+
+    def believe(self, theirs):
+        self.history.append((self.message(), theirs))
+        self._checks += 1
+        self._opened.clear()
+
+    def as_if(self, **other):
+        """Its hash, had it another ``party``, ``opened``, ``transcript``, ``checks`` or ``prefix``."""
+        changed = copy(self)
+        for name, value in other.items():
+            setattr(changed, f"_{name}", value)
+        return changed.message()
+
+
+def truth(number, own, theirs):
+    """The lie that is none: what the protocol says."""
+    return own
+
+
+def own_hash(ledger, theirs):
+    """The forgery that is none: the hash of the own sigmas."""
+    return ledger.message()
+
+
+class Insider:
+    """A party that lies.
+
+    Args:
+        protocol: What it pretends to run.
+        ledger: The MAC check in which that protocol records.
+        lie: ``lie(number, own, theirs)``: the elements to send in DATA exchange ``number`` (0: the inputs)
+            instead of ``own``, knowing ``theirs``.
+        forge: ``forge(ledger, theirs)``: what to send in a check, knowing the honest hash.
+        follow: Whether its state follows what it lied in an opening. (It never follows a lie about its input:
+            for that, its program must add the same to its input.)
+    """
+
+    def __init__(self, protocol, ledger, lie=truth, forge=own_hash, follow=True):
+        self._protocol, self._ledger, self._lie, self._forge, self._follow = (
+            protocol,
+            ledger,
+            lie,
+            forge,
+            follow,
+        )
+        self._number = 0
+        self.lied = False
+        self._advance(None)
+
+    def answer(self, theirs):
+        """This party's frame, made in sight of the honest one."""
+        if isinstance(self.request, Check):
+            frame = self._forge(self._ledger, bytes(theirs))
+            self.lied |= frame != self._ledger.message()
+            self._ledger.believe(bytes(theirs))
+            self._advance(None)
+            return frame
+        own, honest = elements(b"".join(self.request.payload)), elements(theirs)
+        said = self._lie(self._number, own, honest)
+        self.lied |= said != own
+        frame = frame_of(said)
+        self._ledger.absorb([frame], theirs)
+        if self._follow and self._number and len(said) == len(own):
+            theirs = frame_of((t + s - o) % P for o, t, s in zip(own, honest, said, strict=True))
+        self._number += 1
+        self._advance(memoryview(theirs))
+        return frame
+
+    def _advance(self, reply):
+        try:
+            self.request = self._protocol.send(reply)
+        except (
+            StopIteration,
+            ProtocolViolation,
+        ):  # its own result may be nonsense, which is no reason to stop
+            self.request = None
+
+    def frames(self):
+        """For a channel that asks :meth:`answer`: requests as ``drive`` makes them, of the right lengths."""
+        while self.request is not None:
+            if isinstance(self.request, Check):
+                yield Exchange([bytes(DIGEST_BYTES)], DIGEST_BYTES, 0, is_check=True)
+            else:
+                yield self.request
+
+    def close(self):
+        self._protocol.close()
+
+
+@dataclass
+class Duel:
+    """What the honest party did.
+
+    Attributes:
+        results: Its output, if it came to one: a list of one item.
+        error: What it raised instead.
+        sent: For each of its frames, the number of elements, or None for a check.
+        lied: Whether the insider deviated at all.
+    """
+
+    results: list[Any] = field(default_factory=list)
+    error: SpdzError | None = None
+    sent: list[int | None] = field(default_factory=list)
+    lied: bool = False
+
+    @property
+    def accepted(self):
+        return self.error is None and len(self.results) == 1
+
+    @property
+    def caught(self):
+        return type(self.error) is MacCheckFailed and not self.results
+
+    @property
+    def value(self):
+        (value,) = self.results
+        return value
+
+    @property
+    def openings(self):
+        """Elements of each DATA exchange after the inputs, by its number."""
+        sizes = [size for size in self.sent if size is not None]
+        return dict(enumerate(sizes[1:], 1))
+
+    def position(self, number):
+        """Which of its frames DATA exchange ``number`` was."""
+        return [at for at, size in enumerate(self.sent) if size is not None][number]
+
+    def frames_until_checked(self, number):
+        """How many frames an honest party may send if exchange ``number`` was a lie: up to the next check."""
+        return self.sent.index(None, self.position(number)) + 1
+
+
+class Dealt:
+    """Jobs of one program, dealt once and run as often as a test likes (each time from the start).
+
+    Args:
+        program: The program.
+        pairs: For each lane, the inputs of party 0 and party 1.
+        stock: Deal this stock instead.
+        shares: The shares of the MAC key, if they are not to be random.
+    """
+
+    def __init__(self, program, *pairs, stock=None, shares=None):
+        self.program, self._stock = program, stock
+        self.data = [tuple(quantise(program, one, "input") for one in pair) for pair in pairs]
+        self._shapes = tuple(one.shape for one in self.data[0])
+        self.mac_key = random_mac_key() if shares is None else MacKey(shares)
+        self._keys = [(secrets.token_bytes(32), secrets.token_bytes(32)) for _ in pairs]
+        if stock is None:
+            plan = measure(program, self._shapes, "malicious")
+            self._pad_bytes = plan.pad_bytes
+            self._corrections = [deal_job(program, plan, "malicious", k, self.mac_key) for k in self._keys]
+        else:
+            self._pad_bytes = measure_stock(stock, "malicious")
+            self._corrections = [
+                deal_stock(stock, self._pad_bytes, "malicious", k, self.mac_key) for k in self._keys
+            ]
+
+    @cached_property
+    def honest(self):
+        """What a run without a lie looks like."""
+        return self.duel()
+
+    def mac_check(self, index, kind=MacCheck):
+        return kind(self.mac_key.shares[index], index, SESSION)
+
+    def protocol(self, index, mac_check, program=None):
+        """All lanes of one party under one MAC check, as a session runs them."""
+        program, alpha, lanes = program or self.program, self.mac_key.shares[index], []
+        for data, keys, corrections in zip(self.data, self._keys, self._corrections, strict=True):
+            stream = JobStream(keys[index], self._pad_bytes[index], corrections[index])
+            if self._stock is None:
+                party = Party(index, "malicious", stream, mac_check, alpha, Stats())
+            else:
+                party = StockedParty(self._stock, index, "malicious", stream, mac_check, alpha, Stats())
+            lanes.append(run(party, program, declare(program, self._shapes, {index: data[index]})))
+        return _all(lanes)
+
+    def duel(self, evil=1, lie=truth, *, forge=own_hash, follow=True, program=None):
+        """Run the honest party, which is 1 - ``evil``, against an insider that really runs ``program``."""
+        mac_check, ledger = self.mac_check(1 - evil), self.mac_check(evil, Ledger)
+        honest = drive(self.protocol(1 - evil, mac_check), mac_check)
+        insider = Insider(self.protocol(evil, ledger, program), ledger, lie, forge, follow)
+        duel = Duel()
+        try:
+            request = next(honest)
+            while True:
+                frame = b"".join(request.payload)
+                duel.sent.append(None if request.is_check else len(frame) // 16)
+                answer = insider.answer(frame)
+                if len(answer) != request.expect:
+                    raise ProtocolViolation("a frame of another length, which no channel lets through")
+                request = honest.send(memoryview(answer))
+        except StopIteration as done:
+            duel.results.append(done.value)
+        except SpdzError as error:
+            duel.error = error
+        finally:
+            duel.lied = insider.lied
+            honest.close()
+            insider.close()
+        return duel
+
+    def try_lie(self, evil, number, lie, *, follow=True, forge=own_hash, what=""):
+        """Whether it was a lie; if so, the first check after exchange ``number`` must have caught it."""
+        duel = self.duel(evil, lie, follow=follow, forge=forge)
+        what = f"{self.program}: party {evil} {'follows' if follow else 'denies'} {what} in {number}: {duel}"
+        if duel.lied:
+            assert duel.caught, what
+            assert len(duel.sent) == self.honest.frames_until_checked(number), what
+        else:
+            assert duel.accepted, what
+        return duel.lied

@@ -1,0 +1,111 @@
+"""Every program, lied to by either party in every element of every opening: caught at the next check.
+
+Ways to lie take turns from element to element, from opening to opening and from party to party, and so does
+whether the insider's state follows the lie. SPDZ_INSIDER_TRIALS is how many further lies of all kinds are
+drawn for every program and party (default 4; a few hundred take minutes).
+"""
+
+import os
+import random
+from itertools import cycle, islice, pairwise, product
+
+import pytest
+from insider_programs import ALL, GATES_AND_FUNCTIONS, X, Y, dealt
+from lies import ELEMENT, FRAME, PAIR, cancelling, element, frame, pair, sampled
+
+from spdz import ProtocolViolation, functions, gates, run_clear
+from spdz.field import P
+
+TRIALS = int(os.environ.get("SPDZ_INSIDER_TRIALS", "4"))
+SHORT = 8
+"""Elements opened by a program of which every element is changed several times."""
+
+any_program = pytest.mark.parametrize("name", ALL)
+
+
+def follows():
+    """Whether the insider follows its lie; of period 3, to fall on every kind of lie in either way."""
+    return cycle((True, False, True))
+
+
+def test_the_table_covers_every_gate_and_every_function():
+    assert set(GATES_AND_FUNCTIONS) == {*gates.__all__, *functions.__all__}
+
+
+@any_program
+def test_without_a_lie_the_result_is_right(name):
+    right = pytest.approx(run_clear(ALL[name], X, Y).value, rel=2**-14, abs=2**-14)
+    for evil, follow in product((0, 1), (False, True)):
+        duel = dealt(name).duel(evil, follow=follow)
+        assert duel.accepted and not duel.lied
+        assert duel.value[0] == right
+
+
+@any_program
+def test_a_lie_in_any_element_of_any_opening_is_caught(name):
+    job, generator, modes, ways = dealt(name), random.Random(name), follows(), cycle(ELEMENT)
+    openings = job.honest.openings
+    times = 5 if sum(openings.values()) <= SHORT else 1
+    for evil, number in product((0, 1), openings):
+        for i in range(openings[number]):
+            lied = 0
+            while lied < times:  # "opened as 0" is no lie where 0 is opened
+                how = next(ways)
+                lie = element(number, i, ELEMENT[how], generator.randrange(1, P))
+                lied += job.try_lie(evil, number, lie, follow=next(modes), what=f"{how} in element {i}")
+
+
+@any_program
+def test_a_lie_in_several_elements_of_an_opening_is_caught(name):
+    job, generator, modes = dealt(name), random.Random(name), follows()
+    openings, frames, pairs = job.honest.openings, cycle(FRAME), cycle(PAIR)
+    for evil, number in product((0, 1), openings):
+        how = next(frames)
+        lie = frame(number, FRAME[how], generator.randrange(1, P))
+        job.try_lie(evil, number, lie, follow=next(modes), what=how)
+        for how in islice(pairs, 2 if openings[number] > 1 else 0):
+            i, j = generator.sample(range(openings[number]), 2)
+            lie = pair(number, i, j, PAIR[how], generator.randrange(1, P))
+            job.try_lie(evil, number, lie, follow=next(modes), what=f"{how} in elements {i}, {j}")
+
+
+@any_program
+def test_a_lie_that_a_later_opening_takes_back_is_caught(name):
+    """By the next opening, and by the result's."""
+    job, generator, modes = dealt(name), random.Random(name), follows()
+    openings = job.honest.openings
+    to_the_last = {(number, len(openings)) for number in range(1, len(openings))}
+    for evil, (first, second) in product((0, 1), sorted({*pairwise(openings), *to_the_last})):
+        i, j = generator.randrange(openings[first]), generator.randrange(openings[second])
+        lie = cancelling(first, i, second, j, generator.randrange(1, P))
+        what = f"element {i}, taken back in element {j} of exchange {second}"
+        assert job.try_lie(evil, first, lie, follow=next(modes), what=what)
+
+
+@any_program
+def test_any_other_lie_is_caught(name):
+    job, generator = dealt(name), random.Random(f"{name} sampled")
+    for evil, _ in product((0, 1), range(TRIALS)):
+        number, lie, what = sampled(generator, job.honest.openings)
+        job.try_lie(evil, number, lie, follow=generator.random() < 0.5, what=what)
+
+
+ILLEGAL = {
+    "p itself": lambda own: [P, *own[1:]],
+    "an unreduced share": lambda own: [own[0] | 1 << 127, *own[1:]],
+    "the last element at its largest": lambda own: [*own[:-1], (1 << 128) - 1],
+    "one element short": lambda own: own[:-1],
+    "one element long": lambda own: [*own, 0],
+    "nothing": lambda own: [],
+}
+
+
+@pytest.mark.parametrize(
+    "name", ["S6", "beaver_dot", "S10 candidate", "side by side", "beaver_dot on a stock"]
+)
+def test_a_frame_that_is_not_well_formed_is_refused_at_once(name):
+    job = dealt(name)
+    for evil, number, how in product((0, 1), (0, *job.honest.openings), ILLEGAL):
+        duel = job.duel(evil, lambda at, own, theirs: ILLEGAL[how](own) if at == number else own)  # noqa: B023
+        assert type(duel.error) is ProtocolViolation and not duel.results
+        assert len(duel.sent) == job.honest.position(number) + 1
