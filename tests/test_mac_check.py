@@ -5,7 +5,7 @@ import pytest
 from spdz import MacCheckFailed, field
 from spdz.coroutine import exchange
 from spdz.field import P
-from spdz.mac_check import MacCheck, drive
+from spdz.mac_check import DIGEST_BYTES, MacCheck, drive
 
 ALPHA = (1234567, P - 99)
 SESSION = b"session"
@@ -43,6 +43,35 @@ def test_a_wrong_opening_fails_on_both_sides(error):
     for check, message in zip(checks, messages[::-1], strict=True):
         with pytest.raises(MacCheckFailed):
             check.verify(message)
+
+
+def test_every_element_of_an_array_counts():
+    for wrong in range(6):
+        checks = pair()
+        values = [7, 0, P - 1, 2**80, 5, 1]
+        opened = [value + (place == wrong) for place, value in enumerate(values)]
+        for check, macs in zip(checks, ([0] * 6, [sum(ALPHA) * value for value in values]), strict=True):
+            check.record(*(field.from_ints(part).reshape(2, 3, 2) for part in (opened, macs)))
+        with pytest.raises(MacCheckFailed):
+            checks[0].verify(checks[1].message())
+
+
+def test_every_bit_of_a_sigma_counts():
+    """An error of ``2^bit / alpha`` changes sigma by 2^bit."""
+    for bit in range(127):
+        checks = pair()
+        open_value(checks, 7, (field.inverse(sum(ALPHA)) << bit) % P)
+        with pytest.raises(MacCheckFailed):
+            checks[0].verify(checks[1].message())
+
+
+def test_every_bit_of_the_hash_counts():
+    for bit in range(8 * DIGEST_BYTES):
+        checks = pair()
+        open_value(checks, 7)
+        message = int.from_bytes(checks[1].message(), "little") ^ 1 << bit
+        with pytest.raises(MacCheckFailed):
+            checks[0].verify(message.to_bytes(DIGEST_BYTES, "little"))
 
 
 @pytest.mark.parametrize("error", [0, 5])
@@ -110,9 +139,12 @@ def test_a_protocol_may_not_end_with_unchecked_openings():
         frames.send(memoryview(b"y"))
 
 
-def test_the_message_does_not_depend_on_how_openings_were_grouped_but_on_all_of_them():
-    first, second = pair(), pair()
-    for checks in (first, second):
-        open_value(checks, 1)
-    open_value(first, 2)
-    assert first[0].message() != second[0].message()
+def test_the_message_depends_on_all_openings_in_order_but_not_on_how_they_were_grouped():
+    def message(*arrays):
+        check, _ = pair()
+        for array in arrays:
+            check.record(field.from_ints(array), field.from_ints([3 * one + 1 for one in array]))
+        return check.message()
+
+    assert message([1, 2], [5]) == message([1], [2, 5])
+    assert len({message([1, 2]), message([2, 1]), message([1]), message([2]), message([1, 2, 2])}) == 5
