@@ -9,6 +9,7 @@ import os
 import random
 from itertools import cycle, islice, pairwise, product
 
+import numpy as np
 import pytest
 from insider_programs import ALL, GATES_AND_FUNCTIONS, X, Y, dealt
 from lies import ELEMENT, FRAME, PAIR, cancelling, element, frame, pair, sampled
@@ -39,6 +40,16 @@ def test_without_a_lie_the_result_is_right(name):
         duel = dealt(name).duel(evil, follow=follow)
         assert duel.accepted and not duel.lied
         assert duel.value[0] == right
+
+
+@any_program
+def test_the_result_is_opened_after_a_check_and_output_after_another(name):
+    """What :meth:`Duel.frames_until_checked` relies on."""
+    frames = dealt(name).honest.sent
+    before, result = frames[1:-2], frames[-2:]
+    assert before == [] or before[-1] is None
+    assert None not in before[:-1]
+    assert result == [np.size(run_clear(ALL[name], X, Y).value), None]
 
 
 @any_program

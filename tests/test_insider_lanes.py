@@ -9,12 +9,14 @@ from insider import Dealt
 from insider_programs import PROGRAMS, STOCK, X, Y
 from lies import ELEMENT, PAIR, cancelling, element, frame, pair
 
-from spdz import run_clear
+from spdz import parallel, run_clear
 from spdz.field import P
 
 PAIRS = ((X, Y), (Y, X), (X, X - Y / 8))
 LANES = len(PAIRS)
 NAMES = ["S10", "S2 candidate", "S4 candidate", "beaver_dot", "side by side", "stock"]
+UNEQUAL = ("S10", "S2", "S4 candidate")
+"""The first two open their results at once, wait for the third, and have ended when it opens its own."""
 either_party = pytest.mark.parametrize(("name", "evil"), list(product(NAMES, (0, 1))))
 
 
@@ -83,3 +85,38 @@ def test_a_lie_in_one_lane_or_between_lanes_is_caught_and_no_lane_has_a_result(n
                 lies[f"taken back in lane {other} of the next"] = cancelling(number, i, number + 1, j, e)
         for what, lie in lies.items():
             job.try_lie(evil, number, lie, follow=generator.random() < 0.5, what=what)
+
+
+class UnequalLanes(Dealt):
+    """Jobs of several programs under one MAC check."""
+
+    def __init__(self, names):
+        first, *others = (PROGRAMS[name] for name in names)
+        super().__init__(first, (X, Y))
+        self._others = [Dealt(program, (X, Y), shares=self.mac_key.shares) for program in others]
+
+    def protocol(self, index, mac_check, program=None):
+        others = (job.protocol(index, mac_check) for job in self._others)
+        return parallel(super().protocol(index, mac_check, program), *others)
+
+
+@cache
+def unequal():
+    return UnequalLanes(UNEQUAL)
+
+
+@pytest.mark.parametrize("evil", [0, 1])
+def test_a_lie_in_a_lane_of_another_program_is_caught(evil):
+    job = unequal()
+    right = [run_clear(PROGRAMS[name], X, Y).value for name in UNEQUAL]
+    assert [value for (value,) in job.duel(evil).value] == pytest.approx(right, abs=2**-14)
+    for number, size in job.honest.openings.items():
+        for i in range(size):
+            lie = element(number, i, ELEMENT["plus 1"])
+            assert job.try_lie(evil, number, lie, follow=(number + i) % 2 == 0, what=f"element {i}")
+
+
+def test_a_lane_that_is_left_alone_is_checked():
+    """Its own check comes although the others have ended."""
+    sent = unequal().honest.sent
+    assert sent[1] == 3 and sent[-3:] == [None, 1, None] and sent.count(None) == 2
