@@ -87,13 +87,8 @@ class Insider:
     """
 
     def __init__(self, protocol, ledger, lie=truth, forge=own_hash, follow=True):
-        self._protocol, self._ledger, self._lie, self._forge, self._follow = (
-            protocol,
-            ledger,
-            lie,
-            forge,
-            follow,
-        )
+        self._protocol, self._ledger = protocol, ledger
+        self._lie, self._forge, self._follow = lie, forge, follow
         self._number = 0
         self.lied = False
         self._advance(None)
@@ -120,10 +115,7 @@ class Insider:
     def _advance(self, reply):
         try:
             self.request = self._protocol.send(reply)
-        except (
-            StopIteration,
-            ProtocolViolation,
-        ):  # its own result may be nonsense, which is no reason to stop
+        except (StopIteration, ProtocolViolation):  # its own result may be nonsense
             self.request = None
 
     def frames(self):
