@@ -35,7 +35,7 @@ def network_duel(folder, program, evil, lie, follow=True):
     paths, states = deal(folder / "mission", program, (X.shape, Y.shape), len(PAIRS)), state_dirs(folder)
     pipes = (SimpleQueue(), SimpleQueue())
     ends = [
-        (RushingEnd if party == evil else MemoryChannel)(*pipes[:: 1 - 2 * party], 5.0) for party in (0, 1)
+        (RushingEnd if party == evil else MemoryChannel)(*pipes[:: 1 - 2 * party], 20.0) for party in (0, 1)
     ]
 
     def mac_check(alpha, party, session):
