@@ -51,7 +51,7 @@ def network_duel(folder, program, evil, lie, follow=True):
     def work(session):
         return session.run_many(program, [inputs[session.party] for inputs in PAIRS]).value
 
-    with patch("spdz.session.MacCheck", mac_check), patch("spdz.session.drive", frames):
+    with patch("spdz.agreement.MacCheck", mac_check), patch("spdz.session.drive", frames):
         outcomes = run_pair(paths, states, work, channels=ends)
     return outcomes, (paths[1 - evil], states[1 - evil])
 
