@@ -19,9 +19,8 @@ import bench.oracle
 import bench.recorded_accuracy
 import dealer.cli
 import spdz
-from bench.demo.cli import add_demo
+import spdz.__main__
 from bench.pair import free_port
-from protocols.cli import add_match
 from spdz import errors
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -176,12 +175,10 @@ def resolve(dotted: str) -> object:
 
 def known_options() -> set[str]:
     """Every option of every command."""
-    parser = argparse.ArgumentParser()
-    commands = parser.add_subparsers()
-    add_match(commands)
-    add_demo(commands)
+    commands = spdz.__main__.parser()
+    (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.accuracy.parser(), bench.oracle.parser()]
-    parsers += commands.choices.values()
+    parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
 
