@@ -1,6 +1,7 @@
 """Shared set-up: nothing that a test opens touches the user's own state folder."""
 
 import pytest
+from channel_helpers import folders, pair  # noqa: F401  # fixtures
 
 
 @pytest.fixture(autouse=True)

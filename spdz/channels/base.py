@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import time
 from abc import ABC, abstractmethod
 from types import TracebackType
@@ -27,10 +28,13 @@ from spdz.channels.frames import (
     pack_abort,
     pack_header,
 )
-from spdz.errors import ChannelClosed, ChannelTimeout, PeerAborted, SpdzError
+from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted, SpdzError
 
 DEFAULT_TIMEOUT = 30.0
 ABORT_SECONDS = 1.0
+_EXCHANGED = (FrameKind.DATA, FrameKind.CHECK, FrameKind.CONTROL)
+LONGEST_SLEEP = 60.0
+"""Seconds that one wait takes at most; every wait is in a loop. The system's calls refuse very long ones."""
 
 Self = TypeVar("Self", bound="Channel")
 
@@ -54,17 +58,15 @@ class Channel(ABC):
     """
 
     def __init__(self, timeout: float = DEFAULT_TIMEOUT, max_frame: int = MAX_FRAME) -> None:
-        if not (timeout > 0 and math.isfinite(timeout)):
-            raise ValueError(f"timeout must be a positive number of seconds, not {timeout!r}")
-        if not 1 <= max_frame <= MAX_FRAME:
-            raise ValueError(f"max_frame must be 1 to {MAX_FRAME} bytes, not {max_frame!r}")
+        check_limits(timeout, max_frame)
         self.rounds = self.control_rounds = 0
         self.bytes_sent = self.bytes_received = 0
         self._timeout = timeout
-        self._max_frame = max_frame
+        self._max_frame, self._max_control = max_frame, min(MAX_CONTROL, max_frame)
         self._session = 0
         self._death: str | None = None
         self._closed = False
+        self._process = os.getpid()
 
     @property
     def timeout(self) -> float:
@@ -101,7 +103,13 @@ class Channel(ABC):
             PeerAborted: if the peer stopped and said why.
             ChannelTimeout: if not everything was sent and received in time.
             ChannelClosed: if the peer hung up, or the channel is dead or closed.
+            ChannelError: in another process than the one that made the channel.
         """
+        if self._is_a_copy:
+            raise ChannelError(
+                "this channel belongs to the process that made it, and this process is a fork of it: "
+                "connect after the fork"
+            )
         if self._death is not None:
             raise ChannelClosed(self._death)
         views = byte_views(payload)
@@ -109,7 +117,7 @@ class Channel(ABC):
         self._check_request(kind, size, expect)
         round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
         header = pack_header(kind, dtype, self._session, round_, size)
-        reader = FrameReader(kind, dtype, self._session, round_, expect, min(MAX_CONTROL, self._max_frame))
+        reader = FrameReader(kind, dtype, self._session, round_, expect, self._max_control)
         try:
             self._swap([memoryview(header), *views], reader, time.monotonic() + self._timeout)
         except SpdzError as error:
@@ -131,9 +139,10 @@ class Channel(ABC):
     def abort(self, reason: AbortReason) -> None:
         """Tell the peer why this side stops, if that can be done within a second, and close.
 
-        Never raises. The peer is told nothing if this side stops in the middle of sending a frame.
+        Never raises. The peer is told nothing if this side stops in the middle of sending a frame, nor in
+        another process than the one that made the channel.
         """
-        if not self._closed:
+        if not self._closed and not self._is_a_copy:
             round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
             with contextlib.suppress(Exception):
                 self._send_last(pack_abort(reason, self._session, round_), time.monotonic() + ABORT_SECONDS)
@@ -144,7 +153,11 @@ class Channel(ABC):
         if not self._closed:
             self._closed = True
             self._die("this channel is closed")
-            self._hang_up()
+            try:
+                if not self._is_a_copy:
+                    self._hang_up()
+            finally:
+                self._release()
 
     def __enter__(self: Self) -> Self:
         return self
@@ -154,13 +167,17 @@ class Channel(ABC):
     ) -> None:
         self.close()
 
+    @property
+    def _is_a_copy(self) -> bool:
+        return os.getpid() != self._process
+
     def _die(self, why: str) -> None:
         self._death = self._death or why
 
     def _check_request(self, kind: FrameKind, size: int, expect: int | None) -> None:
-        if kind not in (FrameKind.DATA, FrameKind.CHECK, FrameKind.CONTROL):
+        if kind not in _EXCHANGED:
             raise ValueError("only DATA, CHECK and CONTROL frames are exchanged")
-        limit = min(MAX_CONTROL, self._max_frame) if kind == FrameKind.CONTROL else self._max_frame
+        limit = self._max_control if kind == FrameKind.CONTROL else self._max_frame
         if expect is None and kind != FrameKind.CONTROL:
             raise ValueError(f"the length of a {kind.name} frame must be known")
         if max(size, expect or 0) > limit:
@@ -190,11 +207,27 @@ class Channel(ABC):
 
     @abstractmethod
     def _hang_up(self) -> None:
-        """Give the transport back. Called once."""
+        """Tell the peer that nothing more comes, without waiting. Called once at most."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Give the transport back without a sign to the peer. Called once."""
+
+
+def check_limits(timeout: float, max_frame: int) -> None:
+    """Refuse limits out of range, before anything is opened.
+
+    Raises:
+        ValueError: if one is.
+    """
+    if not (timeout > 0 and math.isfinite(timeout)):
+        raise ValueError(f"timeout must be a positive number of seconds, not {timeout!r}")
+    if not 1 <= max_frame <= MAX_FRAME:
+        raise ValueError(f"max_frame must be 1 to {MAX_FRAME} bytes, not {max_frame!r}")
 
 
 def remaining(deadline: float, reader: FrameReader, seconds: float) -> float:
-    """Seconds left until ``deadline``.
+    """Seconds left until ``deadline``, or LONGEST_SLEEP if that is less.
 
     Raises:
         ChannelTimeout: if there are none.
@@ -202,4 +235,4 @@ def remaining(deadline: float, reader: FrameReader, seconds: float) -> float:
     left = deadline - time.monotonic()
     if left <= 0:
         raise ChannelTimeout(f"the peer did not finish this round within {seconds:g} s ({reader.progress()})")
-    return left
+    return min(left, LONGEST_SLEEP)

@@ -22,7 +22,7 @@ Security limits: MAX_FRAME (payload bytes; lowered a channel with ``max_frame``)
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from typing import Any, TypeAlias
 
@@ -156,8 +156,11 @@ def byte_views(payload: Payload) -> list[memoryview]:
     return views
 
 
-def merge_small(views: Iterable[Buffer]) -> Iterator[memoryview]:
+def merge_small(views: Sequence[Buffer]) -> Iterator[memoryview]:
     """The same bytes in few pieces: runs of small views are copied together, large ones are not copied."""
+    if sum(map(len, views)) <= _MERGE_BELOW:  # most frames
+        yield memoryview(b"".join(views))
+        return
     run: list[Buffer] = []
     run_bytes = 0
     for view in views:

@@ -1,0 +1,125 @@
+"""The channel over a socket: a loop that drives a byte stream, plain or TLS, in both directions at once."""
+
+from __future__ import annotations
+
+import select
+import ssl
+import time
+
+from spdz.channels.base import DEFAULT_TIMEOUT, Channel, remaining
+from spdz.channels.frames import MAX_FRAME, FrameReader, merge_small
+from spdz.channels.stream import Stream, describe
+from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout
+
+_SLICE = 256 << 10  # bytes offered to one send, so that both directions take turns
+_SPINS = 100
+"""Looks at the socket, about 1 us each, before the process sleeps: waking up costs more than a round."""
+
+
+class SocketChannel(Channel):
+    """A channel over a connected byte stream.
+
+    Args:
+        stream: The stream, after its handshake if it is a TLS one. The channel owns it from here on.
+        timeout: Seconds that one exchange may take.
+        max_frame: Largest payload in bytes.
+    """
+
+    def __init__(self, stream: Stream, timeout: float = DEFAULT_TIMEOUT, max_frame: int = MAX_FRAME) -> None:
+        super().__init__(timeout, max_frame)
+        self._stream = stream
+        self._poll = select.poll()
+        self._in_frame = False  # whether part of a frame may be out
+        self._send_error: OSError | None = None
+
+    def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
+        pieces = list(merge_small(frame))[::-1]
+        stream = self._stream
+        self._in_frame = True
+        sends = receives = True
+        while True:
+            # Read before polling: a TLS stream may hold bytes that poll does not see.
+            more = sends and self._send_some(pieces)
+            more |= receives and self._receive_some(reader)
+            sends = self._send_error is None and (bool(pieces) or stream.backlog)
+            receives = not reader.complete
+            if not (sends or receives):
+                break
+            seconds = remaining(deadline, reader, self._timeout)
+            if not more:
+                self._poll.register(stream, sends * select.POLLOUT | receives * select.POLLIN)
+                if not any(self._poll.poll(0) for _ in range(_SPINS)):
+                    self._poll.poll(seconds * 1000)
+        if self._send_error is not None:
+            raise _lost(self._send_error, reader)
+
+    def _send_some(self, pieces: list[memoryview]) -> bool:
+        """Send from the last piece; returns whether there is more, and the stream may take it now."""
+        try:
+            if not pieces:
+                self._stream.flush()
+                return False
+            piece = pieces[-1]
+            sent = self._stream.send(piece[:_SLICE])
+        except OSError as error:  # the peer is gone, but may have said why: go on reading
+            self._send_error = error
+            pieces.clear()
+            return False
+        if sent < len(piece):
+            pieces[-1] = piece[sent:]
+        else:
+            pieces.pop()
+            self._in_frame = bool(pieces)
+        return bool(pieces) and sent > 0 and not self._stream.backlog
+
+    def _receive_some(self, reader: FrameReader) -> bool:
+        """Read what is there; returns whether there is more to come, and may be now."""
+        try:
+            count = self._stream.receive_into(reader.space)
+        except OSError as error:
+            raise _lost(error, reader) from error
+        if count is None:
+            return False
+        if count == 0:
+            raise ChannelClosed(f"the peer closed the connection ({reader.progress()})")
+        reader.advance(count)
+        return not reader.complete
+
+    def _send_last(self, frame: bytes, deadline: float) -> None:
+        if self._in_frame:
+            return
+        stream, rest = self._stream, memoryview(frame)
+        while rest or stream.backlog:
+            if rest:
+                rest = rest[stream.send(rest) :]
+            else:
+                stream.flush()
+            if (rest or stream.backlog) and not self._ready(select.POLLOUT, deadline):
+                return
+        stream.end()
+        while self._ready(select.POLLIN, deadline) and stream.discard():
+            pass  # see Stream.discard
+
+    def _ready(self, event: int, deadline: float) -> bool:
+        """Wait for an event; False if the time is over."""
+        left = deadline - time.monotonic()
+        self._poll.register(self._stream, event)
+        return left > 0 and bool(self._poll.poll(left * 1000))
+
+    def _hang_up(self) -> None:
+        self._stream.end()
+
+    def _release(self) -> None:
+        self._stream.close()
+
+
+def _lost(error: OSError, reader: FrameReader) -> ChannelError:
+    """The error of a broken connection, in this package's terms."""
+    if isinstance(error, TimeoutError):  # TCP itself gave up: ETIMEDOUT
+        return ChannelTimeout(f"the network does not reach the peer any more ({reader.progress()})")
+    if isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or ""):
+        return ChannelClosed(
+            f"the peer refused this side's TLS connection or certificate ({error.reason}): are both robots' "
+            "credentials from the same run of the dealer?"
+        )
+    return ChannelClosed(f"the connection broke: {describe(error)} ({reader.progress()})")

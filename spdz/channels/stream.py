@@ -1,0 +1,141 @@
+"""A connected, non-blocking byte stream, and the plain TCP one."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import ssl
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+from spdz.channels.base import LONGEST_SLEEP
+from spdz.errors import ChannelTimeout
+
+_DRAIN = 64 << 10
+
+
+class Stream(ABC):
+    """A byte stream over a socket that it owns. Nothing blocks; what went wrong is an :class:`OSError`.
+
+    Args:
+        sock: A connected socket.
+    """
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.setblocking(False)
+        self._socket = sock
+
+    def fileno(self) -> int:
+        """The socket's descriptor, to poll."""
+        return self._socket.fileno()
+
+    @property
+    @abstractmethod
+    def backlog(self) -> bool:
+        """Whether bytes wait for :meth:`flush`."""
+
+    @abstractmethod
+    def send(self, data: memoryview) -> int:
+        """Take bytes to send; returns how many, 0 if none can be taken now."""
+
+    @abstractmethod
+    def flush(self) -> bool:
+        """Hand what waits to the socket; returns whether nothing waits any more."""
+
+    @abstractmethod
+    def receive_into(self, space: memoryview) -> int | None:
+        """Write what came into ``space``; returns how many bytes, 0 at the end, None if there is nothing now.
+
+        Raises:
+            OSError: if the connection broke.
+            ProtocolViolation: if the peer sent something that no honest peer sends.
+        """
+
+    def end(self) -> None:
+        """Tell the peer that nothing more comes, as far as that can be done at once."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def discard(self) -> bool:
+        """Drop what came; returns whether more may come.
+
+        Closing a socket with unread bytes resets the connection, and the reset can overtake what was sent
+        last (RFC 2525, 2.17).
+        """
+        try:
+            return bool(self._socket.recv(_DRAIN))
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+
+    def part(self, last_words: bytes) -> None:
+        """Send a few last bytes as far as that can be done at once, and close."""
+        with contextlib.suppress(OSError):
+            if last_words:
+                self.send(memoryview(last_words))
+            self.flush()
+        self.end()
+        self.discard()
+        self.close()
+
+    def close(self) -> None:
+        """Close the descriptor and do nothing else: another process may go on using the connection."""
+        self._socket.close()
+
+
+class PlainStream(Stream):
+    """TCP as it is."""
+
+    backlog = False
+
+    def send(self, data: memoryview) -> int:
+        """Take bytes to send; see :class:`Stream`."""
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
+
+    def flush(self) -> bool:
+        """Nothing ever waits here."""
+        return True
+
+    def receive_into(self, space: memoryview) -> int | None:
+        """Write what came into ``space``; see :class:`Stream`."""
+        try:
+            return self._socket.recv_into(space)
+        except BlockingIOError:
+            return None
+
+
+def complete(stream: Stream, step: Callable[[], int], timeout: float, what: str) -> None:
+    """Repeat a step that returns the poll events it waits for, until it returns 0.
+
+    Args:
+        stream: What to poll.
+        step: The step; it does not block.
+        timeout: Seconds that all steps may take.
+        what: What is being completed, for the error message.
+
+    Raises:
+        ChannelTimeout: if it was not completed in time.
+    """
+    deadline = time.monotonic() + timeout
+    poll = select.poll()
+    while events := step():
+        left = deadline - time.monotonic()
+        if left <= 0:
+            raise ChannelTimeout(f"{what} was not finished within {timeout:g} s")
+        poll.register(stream, events)
+        poll.poll(min(left, LONGEST_SLEEP) * 1000)
+
+
+def describe(error: OSError) -> str:
+    """An operating system's or OpenSSL's error in its own few words; never the peer's."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return error.verify_message
+    if isinstance(error, ssl.SSLError) and error.reason:
+        return error.reason.replace("_", " ").lower()
+    return error.strerror or str(error) or type(error).__name__
