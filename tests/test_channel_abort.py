@@ -1,5 +1,7 @@
 """A side that stops tells the other why, whatever either of them was doing."""
 
+import threading
+
 import pytest
 from channel_helpers import (
     CONTROL,
@@ -108,14 +110,20 @@ def test_no_abort_is_put_into_the_middle_of_a_frame():
 
 def test_an_abort_is_not_overtaken_by_a_reset():
     a, b = meet(tcp.listen, tcp.connect, timeout=LONG)
+    aborted = threading.Event()
+
+    def abort():
+        a.abort(AbortReason.STOPPED)
+        aborted.set()
+
+    def hear():
+        send_raw(b, bytes(100_000))  # unread bytes would make a reset of the end
+        came = read_raw(b)
+        assert not aborted.wait(SHORT)  # it reads on until b hangs up
+        b.close()
+        return came
+
     with a, b:
-        send_raw(b, bytes(100_000))  # a will not have read all of this when it hangs up
-
-        def hear():
-            try:
-                return read_raw(b)
-            finally:
-                b.close()
-
-        _, came = together(lambda: a.abort(AbortReason.STOPPED), hear)
+        _, came = together(abort, hear)
+        assert aborted.is_set()
     assert came == header(1, kind=FrameKind.ABORT) + bytes([AbortReason.STOPPED])

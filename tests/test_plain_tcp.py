@@ -120,7 +120,10 @@ def test_a_listener_that_nobody_greeted_says_so():
         with dial(address) as sock:
             sock.sendall(b"GET / HTTP/1.1\r\n\r\n")
             sock.settimeout(LONG)
-            return sock.recv(100), sock.recv(100)
+            told = sock.recv(100), sock.recv(100)
+            time.sleep(0.05)
+            sock.sendall(b"\r\n")  # the end was no reset
+            return told
 
     refusal, told = meet(
         lambda address, on_listening: tcp.listen(address, wait=3 * SHORT, on_listening=on_listening), call

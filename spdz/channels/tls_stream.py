@@ -52,7 +52,7 @@ class TlsStream(Stream):
         """Go on with the handshake; returns the poll events that it waits for, 0 when it is done.
 
         Raises:
-            ssl.SSLError: if the handshake failed; the peer is told by an alert.
+            ssl.SSLError: if the handshake failed; :meth:`end` sends the alert that tells the peer why.
             OSError: if the connection broke, or ended, before that.
         """
         ended = self._feed() == 0
@@ -63,10 +63,6 @@ class TlsStream(Stream):
             if ended:
                 raise ConnectionAbortedError(None, "it hung up") from None
             waits_for = select.POLLIN
-        except ssl.SSLError:
-            with contextlib.suppress(OSError):
-                self.flush()  # the alert
-            raise
         return waits_for if self.flush() else waits_for | select.POLLOUT
 
     @property
@@ -110,15 +106,11 @@ class TlsStream(Stream):
                     "the peer sends TLS records without data, such as key updates, and nothing else"
                 ) from None
             return None
-        except ssl.SSLError:
-            with contextlib.suppress(OSError):
-                self.flush()  # the alert
-            raise
         self._silent = 0
         return count
 
     def end(self) -> None:
-        """Send close_notify (RFC 8446, 6.1), as far as that can be done at once, and end the stream."""
+        """Send the alert of an error, or close_notify (RFC 8446, 6), as far as that can be done at once."""
         with contextlib.suppress(OSError):
             with contextlib.suppress(ssl.SSLError):  # the peer's close_notify is not waited for
                 self._tls.unwrap()
