@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 from spdz.channels import Channel, tcp, tls
+from spdz.channels.addresses import parse_address
 from spdz.session import Session
 from spdz.tape import Tape
 
@@ -64,7 +65,7 @@ def check_where(listen: str | None, connect: str | None, wait: float, timeout: f
     """
     if (listen is None) == (connect is None):
         raise ValueError("give exactly one of listen= and connect=")
-    tcp.parse_address(listen or connect or "")
+    parse_address(listen or connect or "")
     for name, seconds in (("wait", wait), ("timeout", timeout)):
         if not (seconds > 0 and math.isfinite(seconds)):
             raise ValueError(f"{name} must be a positive number of seconds, not {seconds!r}")

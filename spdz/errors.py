@@ -56,6 +56,11 @@ class ChannelError(SpdzError):
 
     passing: bool = False
 
+    def __init__(self, message: str = "", *, passing: bool | None = None) -> None:
+        super().__init__(message)
+        if passing is not None:
+            self.passing = passing
+
 
 class ChannelTimeout(ChannelError):
     """The peer did not answer within the time limit."""
@@ -71,10 +76,6 @@ class ChannelClosed(ChannelError):
 
 class PeerAborted(ChannelError):
     """The peer stopped and gave a reason."""
-
-    def __init__(self, message: str, *, passing: bool = False) -> None:
-        super().__init__(message)
-        self.passing = passing
 
 
 class TapeError(SpdzError):

@@ -120,6 +120,7 @@ def _lost(error: OSError, reader: FrameReader) -> ChannelError:
     if isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or ""):
         return ChannelClosed(
             f"the peer refused this side's TLS connection or certificate ({error.reason}): are both robots' "
-            "credentials from the same run of the dealer?"
+            "credentials from the same run of the dealer?",
+            passing=False,
         )
     return ChannelClosed(f"the connection broke: {describe(error)} ({reader.progress()})")
