@@ -8,6 +8,8 @@ import threading
 class Forwarder:
     """Forwards to a port of this machine; connection k breaks after ``limits[k]`` bytes of the caller.
 
+    Until somebody listens there it takes connections and closes them, as a container's port proxy does.
+
     Args:
         target: The port to forward to.
         limits: One number a connection, or None for a connection that holds; later ones hold.
@@ -30,19 +32,20 @@ class Forwarder:
         with contextlib.suppress(OSError):
             while True:
                 caller, _ = self._listener.accept()
-                number, self.count = self.count, self.count + 1
-                if self.gone and number >= len(self.limits):
+                peer = self._reach() if self.count < len(self.limits) or not self.gone else None
+                if peer is None:
                     caller.close()
                     continue
-                limit = self.limits[number] if number < len(self.limits) else None
-                threading.Thread(target=self._serve, args=(caller, limit), daemon=True).start()
+                limit = self.limits[self.count] if self.count < len(self.limits) else None
+                self.count += 1
+                threading.Thread(target=self._serve, args=(caller, peer, limit), daemon=True).start()
 
-    def _serve(self, caller, limit):
-        try:
-            peer = socket.create_connection(("127.0.0.1", self.target), timeout=5)
-        except OSError:
-            caller.close()
-            return
+    def _reach(self):
+        with contextlib.suppress(OSError):
+            return socket.create_connection(("127.0.0.1", self.target), timeout=5)
+        return None
+
+    def _serve(self, caller, peer, limit):
         back = threading.Thread(target=self._pump, args=(peer, caller, None), daemon=True)
         back.start()
         self._pump(caller, peer, limit)

@@ -62,7 +62,7 @@ def test_two_drops_cost_jobs_and_no_match(mission):
 
 @pytest.mark.parametrize("as_json", [True, False])
 def test_what_was_decided_is_printed_when_the_peer_is_gone_for_good(mission, as_json):
-    results, _ = run(mission, [25_000], "--wait", "1", "--timeout", "5", *["--json"] * as_json, gone=True)
+    results, _ = run(mission, [25_000], "--wait", "4", "--timeout", "4", *["--json"] * as_json, gone=True)
     for out, err, status in results:
         assert status == 1, err
         if as_json:
@@ -78,7 +78,7 @@ def test_ctrl_c_prints_what_was_decided(mission):
     port = free_port()
     alice = start(mission, "alice", ["--listen", f"127.0.0.1:{port}"], "--wait", "60")
     with Forwarder(port, [25_000], gone=True) as forwarder:
-        bob = start(mission, "bob", ["--connect", f"127.0.0.1:{forwarder.port}"], "--wait", "1", "--quiet")
+        bob = start(mission, "bob", ["--connect", f"127.0.0.1:{forwarder.port}"], "--wait", "4", "--quiet")
         bob.communicate(timeout=60)
         while "lost bob" not in (line := alice.stderr.readline()):
             assert line
