@@ -22,9 +22,10 @@ from spdz.fixed_point import FRACTION_BITS
 from spdz.meter import Plan
 from spdz.party import JobStream
 from spdz.program import Program, run
+from spdz.public import Raw
 from spdz.rings import FieldRing
 from spdz.stock import Stock
-from spdz.types import Buffer, FieldArray, IntArray, Security, Shape
+from spdz.types import Buffer, FieldArray, Security, Shape
 from spdz.value import Value
 from spdz.wire import to_bytes
 
@@ -59,11 +60,9 @@ class DealtJob(Recipe):
         """A shared value has no mask."""
         return Value(self, (), x.shape, x.frac, x.bound, is_bit=x.is_bit)
 
-    def plus(self, x: Value, raw: int | IntArray) -> Value:
+    def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """A public constant changes no mask."""
-        shape = np.broadcast_shapes(x.shape, np.shape(raw))
-        parts = tuple(_RING.broadcast(part, shape) for part in x.parts)
-        return Value(self, parts, shape, x.frac, x.bound, masked=x.masked, mask_bits=x.mask_bits)
+        return x.parts
 
     def shared_value(
         self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False

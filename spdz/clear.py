@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from spdz.bound import Bound
 from spdz.engine import ClearText, Gate
-from spdz.rings import IntegerRing
-from spdz.types import IntArray
+from spdz.public import Raw
+from spdz.rings import IntegerRing, whole
 from spdz.value import Value
 
 _RING = IntegerRing()
@@ -39,14 +37,11 @@ class Clear(ClearText):
         """The same integers."""
         return self.value(x.parts[0], x.frac, x.bound, is_bit=x.is_bit)
 
-    def plus(self, x: Value, raw: int | IntArray) -> Value:
+    def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """Add public integers."""
-        total = np.asarray(x.parts[0]).astype(object) + raw
-        result = self.value(total, x.frac, x.bound)
-        result.masked = x.masked
-        return result
+        return (whole(x.parts[0].astype(object) + raw),)
 
     def value(self, raw: Any, frac: int, bound: Bound, *, is_bit: bool = False) -> Value:
         """Wrap integers; they count as masked too, since every gate may use them."""
-        integers = np.asarray(raw)
+        integers = whole(raw)
         return Value(self, (integers,), integers.shape, frac, bound, masked=True, is_bit=is_bit)

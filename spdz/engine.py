@@ -20,6 +20,7 @@ from typing import Any, TypeAlias
 
 from spdz import input_mask
 from spdz.bound import Bound
+from spdz.public import Raw
 from spdz.rings import Ring
 from spdz.types import Block, Buffer, FieldArray, IntArray, Security, Shape
 from spdz.value import Value
@@ -66,8 +67,8 @@ class Engine(ABC):
         """Turn ``<x>`` into ``[[x]]``; a shared value is returned as it is."""
 
     @abstractmethod
-    def plus(self, x: Value, raw: int | IntArray) -> Value:
-        """Add public raw integers (:meth:`Value.plus_raw` keeps the bound)."""
+    def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
+        """The parts of x plus public raw integers, whose shape broadcasts to x's (:meth:`Value.plus_raw`)."""
 
     @property
     @abstractmethod

@@ -24,8 +24,9 @@ from spdz.coroutine import Check, Request, exchange, run_silently
 from spdz.engine import Gate, Input, Recipe
 from spdz.fixed_point import FRACTION_BITS
 from spdz.program import Program, declare, run
+from spdz.public import Raw
 from spdz.stock import Stock
-from spdz.types import FieldArray, IntArray, Security, Shape, check_security
+from spdz.types import FieldArray, Security, Shape, check_security
 from spdz.value import Value
 from spdz.wire import ELEMENT_BYTES
 
@@ -78,7 +79,7 @@ def _symbol(*items: object) -> Symbol:
     return Symbol(recipe, text)
 
 
-def _public(raw: int | IntArray) -> tuple[Shape, bytes]:
+def _public(raw: Raw) -> tuple[Shape, bytes]:
     array = np.asarray(raw, dtype=object)
     return array.shape, _digest(*(int(entry) for entry in array.flat))
 
@@ -98,7 +99,7 @@ class SymbolRing:
         """Negation."""
         return _symbol("neg", a)
 
-    def scale(self, a: Symbol, factor: int | IntArray) -> Symbol:
+    def scale(self, a: Symbol, factor: Raw) -> Symbol:
         """Product with public numbers, which the dealer must know."""
         return _symbol("scale", a, *_public(factor))
 
@@ -150,14 +151,10 @@ class Meter(Recipe):
         """The same symbol as a shared value."""
         return Value(self, x.parts, x.shape, x.frac, x.bound, is_bit=x.is_bit)
 
-    def plus(self, x: Value, raw: int | IntArray) -> Value:
+    def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """Only the text sees a public constant."""
         (symbol,) = x.parts
-        shape, digest = _public(raw)
-        new = np.broadcast_shapes(x.shape, shape)
-        recipe = symbol.recipe if new == x.shape else _digest("broadcast", symbol.recipe, new)
-        part = Symbol(recipe, _digest("plus", symbol.text, new, digest))
-        return Value(self, (part,), new, x.frac, x.bound, masked=x.masked, mask_bits=x.mask_bits)
+        return (Symbol(symbol.recipe, _digest("plus", symbol.text, *_public(raw))),)
 
     def shared_value(
         self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False

@@ -23,9 +23,10 @@ from spdz.engine import Evaluation, Gate, Input, Share, Triple
 from spdz.errors import TapeDamaged
 from spdz.mac_check import MacCheck
 from spdz.prf import expand
-from spdz.rings import FieldRing
+from spdz.public import Raw
+from spdz.rings import FieldRing, elements
 from spdz.stats import Stats
-from spdz.types import Block, Buffer, FieldArray, IntArray, Security, Shape
+from spdz.types import Block, Buffer, FieldArray, Security, Shape
 from spdz.value import Value
 from spdz.wire import ELEMENT_BYTES, exchange_elements
 
@@ -122,17 +123,12 @@ class Party(Evaluation):
         share = Value(self, tuple(shares), x.shape, x.frac, x.bound, is_bit=x.is_bit)
         return self.plus_public(share, eps)
 
-    def plus(self, x: Value, raw: int | IntArray) -> Value:
+    def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """Add public integers: to eps of a masked value, else to party 0's share and to the MAC."""
-        number = field.from_int(raw) if isinstance(raw, int) else field.from_int64(np.asarray(raw))
-        shape = np.broadcast_shapes(x.shape, number.shape[:-1])
-        if shape != x.shape:
-            parts = tuple(p if p is None else _RING.broadcast(p, shape) for p in x.parts)
-            x = Value(self, parts, shape, x.frac, x.bound, masked=x.masked, mask_bits=x.mask_bits)
-        if not x.masked:
-            return self.plus_public(x, number)
-        parts = (field.add(x.parts[0], number), *x.parts[1:])
-        return Value(self, parts, shape, x.frac, x.bound, masked=True, mask_bits=x.mask_bits)
+        number = elements(raw)
+        if x.masked:
+            return field.add(x.parts[0], number), *x.parts[1:]
+        return self.plus_public(x, number).parts
 
     def plus_public(self, x: Value, public: FieldArray) -> Value:
         """Party 0 adds to its share; both to the MAC."""

@@ -12,7 +12,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from spdz import field
-from spdz.types import BigIntArray, FieldArray, IntArray, Shape
+from spdz.public import Raw, magnitude
+from spdz.types import BigIntArray, FieldArray, Shape
+
+
+def elements(raw: Raw) -> FieldArray:
+    """Public raw integers mod p."""
+    if isinstance(raw, int):
+        return field.from_int(raw)
+    if raw.dtype == object:
+        return field.from_ints(raw)
+    return field.from_int64(raw.astype(np.int64, copy=False))
 
 
 class Ring(Protocol):
@@ -27,7 +37,7 @@ class Ring(Protocol):
     def neg(self, a: Any) -> Any:
         """Elementwise negation."""
 
-    def scale(self, a: Any, factor: int | IntArray) -> Any:
+    def scale(self, a: Any, factor: Raw) -> Any:
         """Elementwise product with public integers, broadcasting."""
 
     def sum(self, a: Any, axis: int) -> Any:
@@ -61,11 +71,11 @@ class FieldRing:
         """Elementwise negation mod p."""
         return field.neg(a)
 
-    def scale(self, a: FieldArray, factor: int | IntArray) -> FieldArray:
+    def scale(self, a: FieldArray, factor: Raw) -> FieldArray:
         """Elementwise product with public integers mod p."""
         if isinstance(factor, int):
             return field.scale(a, factor)
-        return field.mul(a, field.from_int64(factor))
+        return field.mul(a, elements(factor))
 
     def sum(self, a: FieldArray, axis: int) -> FieldArray:
         """Sum over one axis mod p."""
@@ -90,39 +100,46 @@ class FieldRing:
         return np.concatenate([field.zeros(shape) if part is None else part for part, shape in pairs])
 
 
-def _exact(a: BigIntArray) -> BigIntArray:
-    """Leave int64 arrays whose entries are below 2^62 (a sum of two cannot wrap), else Python integers."""
-    if a.dtype != object and a.size and max(int(a.max()), -int(a.min())) >= 1 << 62:
-        return a.astype(object)
-    return a
+_SHORT = 1 << 40
+
+
+def whole(numbers: Any) -> BigIntArray:
+    """Integers as an int64 array if all are below 2^40 and were one, else as Python integers.
+
+    So a sum of two never wraps, and neither do the limbs of a dot product (:mod:`spdz.gates.product`).
+    """
+    array = np.asarray(numbers)
+    if array.dtype == np.int64 and magnitude(array) < _SHORT:
+        return array
+    return array.astype(object)
 
 
 class IntegerRing:
-    """Exact integers: ``int64`` inputs and Python integers in object arrays."""
+    """Exact integers: short ``int64`` inputs and Python integers in object arrays (:func:`whole`)."""
 
     def add(self, a: BigIntArray, b: BigIntArray) -> BigIntArray:
         """Elementwise sum."""
-        return np.asarray(_exact(a) + _exact(b))
+        return whole(a + b)
 
     def sub(self, a: BigIntArray, b: BigIntArray) -> BigIntArray:
         """Elementwise difference."""
-        return np.asarray(_exact(a) - _exact(b))
+        return whole(a - b)
 
     def neg(self, a: BigIntArray) -> BigIntArray:
         """Elementwise negation."""
-        return np.asarray(-a)
+        return whole(-a)
 
-    def scale(self, a: BigIntArray, factor: int | IntArray) -> BigIntArray:
+    def scale(self, a: BigIntArray, factor: Raw) -> BigIntArray:
         """Elementwise product with public integers."""
-        return np.asarray(a.astype(object) * factor)
+        return whole(a.astype(object) * factor)
 
     def sum(self, a: BigIntArray, axis: int) -> BigIntArray:
         """Sum over one axis."""
-        return np.asarray(a.astype(object).sum(axis=axis))
+        return whole(a.astype(object).sum(axis=axis))
 
     def index(self, a: BigIntArray, key: tuple[Any, ...]) -> BigIntArray:
         """Basic indexing."""
-        return np.asarray(a[key])
+        return whole(a[key])
 
     def reshape(self, a: BigIntArray, shape: Shape) -> BigIntArray:
         """The same elements in another shape."""

@@ -20,7 +20,6 @@ other party's input mask; semi-honest runs have no MAC).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,7 @@ import numpy.typing as npt
 from spdz.bound import Bound
 from spdz.field import P
 from spdz.fixed_point import FRACTION_BITS
+from spdz.public import Raw, fraction_bits, integers, is_whole, magnitude, rounded
 from spdz.types import IntArray, Shape
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Value:
         if bound.entry > P // 2:
             raise ValueError(
                 f"this program can produce numbers of {bound.entry.bit_length()} bits, which do not fit the "
-                "field of 127 bits: use fewer products, or inputs of a smaller max_norm"
+                "field of 127 bits: use fewer products, truncate between them, or allow a smaller max_norm"
             )
         self.engine, self.parts, self.shape = engine, parts, shape
         self.frac, self.bound = frac, bound
@@ -91,12 +91,14 @@ class Value:
     def __add__(self, other: Value | npt.ArrayLike) -> Value:
         if isinstance(other, Value):
             return self._combine(other, self.engine.ring.add, lambda q: q)
-        return self.plus_raw(_raw(other, self.frac))
+        x = self._finer_for(other)
+        return x.plus_raw(rounded(other, x.frac))
 
     def __sub__(self, other: Value | npt.ArrayLike) -> Value:
         if isinstance(other, Value):
             return self._combine(other, self.engine.ring.sub, self.engine.ring.neg)
-        return self.plus_raw(-_raw(other, self.frac))
+        x = self._finer_for(other)
+        return x.plus_raw(-rounded(other, x.frac))
 
     def __radd__(self, other: npt.ArrayLike) -> Value:
         return self + other
@@ -111,20 +113,8 @@ class Value:
         """Product with public numbers: integers scale exactly, reals are rounded to 16 fractional bits."""
         if isinstance(factor, Value):
             raise TypeError("use spdz.multiply or spdz.dot for the product of two secret values")
-        numbers = np.asarray(factor)
-        exact = isinstance(factor, int) or numbers.dtype.kind in "iu"
-        raw = _raw(factor, 0 if exact else FRACTION_BITS)
-        shape = np.broadcast_shapes(self.shape, numbers.shape)
-        bound = self.bound.broadcast(self.shape, shape).scaled(_largest(raw))
-        scaled = self._map(
-            lambda part: self.engine.ring.scale(part, raw),
-            shape,
-            bound,
-        )
-        scaled.frac = self.frac + (0 if exact else FRACTION_BITS)
-        if not np.all(raw):
-            scaled.mask_bits = 0  # where a factor is 0, so is the mask
-        return scaled
+        more = 0 if is_whole(factor) else FRACTION_BITS
+        return self._scaled(rounded(factor, more), self.frac + more)
 
     __rmul__ = __mul__
 
@@ -139,30 +129,42 @@ class Value:
     def __bool__(self) -> bool:
         raise TypeError("a program cannot branch on a secret value: only its result is opened")
 
-    def plus_raw(self, raw: int | IntArray) -> Value:
+    def plus_raw(self, raw: int | npt.ArrayLike) -> Value:
         """Add public raw integers (in units of ``2**-frac``)."""
-        result = self.engine.plus(self, raw)
-        constant = Bound.of_entry(_largest(raw), result.shape)
-        bound = self.bound.broadcast(self.shape, result.shape) + constant
-        return Value(
-            self.engine,
-            result.parts,
-            result.shape,
-            self.frac,
-            bound,
-            masked=self.masked,
-            mask_bits=self.mask_bits,
-        )
+        raw = integers(raw)
+        x = self.broadcast(np.broadcast_shapes(self.shape, np.shape(raw)))
+        bound = x.bound + Bound.of_entry(magnitude(raw), x.shape)
+        return x._with(self.engine.plus(x, raw), x.shape, self.frac, bound)
 
     def rescaled(self, frac: int) -> Value:
         """The same number with more fractional bits, exactly."""
+        frac = fraction_bits(frac)
         if frac == self.frac:
             return self
         if frac < self.frac:
             raise ValueError("to drop fractional bits, truncate")
-        finer = self * (1 << (frac - self.frac))
-        finer.frac = frac
-        return finer
+        return self._scaled(1 << (frac - self.frac), frac)
+
+    def broadcast(self, shape: Shape) -> Value:
+        """The same numbers repeated into a larger shape, as in NumPy."""
+        if shape == self.shape:
+            return self
+        bound = self.bound.broadcast(self.shape, shape)
+        return self._map(lambda part: self.engine.ring.broadcast(part, shape), shape, bound)
+
+    def bounded(self, bound: Bound) -> Value:
+        """The same numbers, of which the caller knows this bound. It is believed: beyond it all is wrong."""
+        return Value(
+            self.engine,
+            self.parts,
+            self.shape,
+            self.frac,
+            bound,
+            masked=self.masked,
+            is_bit=self.is_bit,
+            plain=self.plain,
+            mask_bits=self.mask_bits,
+        )
 
     def sum(self, axis: int = -1) -> Value:
         """Sum over one axis."""
@@ -193,33 +195,50 @@ class Value:
         result.is_bit = self.is_bit
         return result
 
+    def _finer_for(self, public: npt.ArrayLike) -> Value:
+        """With at least 16 fractional bits where a real is added: a count minus 2.5 is not one minus 2."""
+        return self if is_whole(public) else self.rescaled(max(self.frac, FRACTION_BITS))
+
     # -- how a linear map acts on the parts ----------------------------------------------------------
 
-    def _map(self, linear: Callable[[Any], Any], shape: Shape, bound: Bound) -> Value:
+    def _with(self, parts: tuple[Any, ...], shape: Shape, frac: int, bound: Bound) -> Value:
+        """What a linear map of the masks makes of this value."""
+        return Value(self.engine, parts, shape, frac, bound, masked=self.masked, mask_bits=self.mask_bits)
+
+    def _map(
+        self, linear: Callable[[Any], Any], shape: Shape, bound: Bound, frac: int | None = None
+    ) -> Value:
         parts = tuple(p if p is None else linear(p) for p in self.parts)
-        return Value(
-            self.engine, parts, shape, self.frac, bound, masked=self.masked, mask_bits=self.mask_bits
-        )
+        return self._with(parts, shape, self.frac if frac is None else frac, bound)
+
+    def _scaled(self, raw: Raw, frac: int) -> Value:
+        """Times public raw integers; the product is said to have so many fractional bits."""
+        shape = np.broadcast_shapes(self.shape, np.shape(raw))
+        bound = self.bound.broadcast(self.shape, shape).scaled(magnitude(raw))
+        scaled = self._map(lambda part: self.engine.ring.scale(part, raw), shape, bound, frac)
+        if not np.all(raw):
+            scaled.mask_bits = 0  # where a factor is 0, so is the mask
+        return scaled
 
     def _combine(self, other: Value, both: Callable[[Any, Any], Any], alone: Callable[[Any], Any]) -> Value:
         """Add or subtract; ``alone`` is what becomes of the second operand when the first is zero."""
-        if other.engine is not self.engine:
-            raise ValueError("the two values belong to different runs")
-        frac = max(self.frac, other.frac)
-        x, y = self.rescaled(frac), other.rescaled(frac)
+        x, y = aligned(self, other)
         if x.masked != y.masked:
             x, y = x.engine.shared(x), y.engine.shared(y)
-        shape = np.broadcast_shapes(x.shape, y.shape)
-        parts = []
-        for p, q in zip(x.parts, y.parts, strict=True):
-            if p is None or q is None:
-                lone = p if q is None else alone(q)
-                parts.append(lone if lone is None else x.engine.ring.broadcast(lone, shape))
-            else:
-                parts.append(both(p, q))
-        bound = x.bound.broadcast(x.shape, shape) + y.bound.broadcast(y.shape, shape)
-        bits = min(x.mask_bits, y.mask_bits)
-        return Value(x.engine, tuple(parts), shape, x.frac, bound, masked=x.masked, mask_bits=bits)
+        parts = tuple(
+            both(p, q) if p is not None and q is not None else p if q is None else alone(q)
+            for p, q in zip(x.parts, y.parts, strict=True)
+        )
+        length = min(x.mask_bits, y.mask_bits)
+        return Value(x.engine, parts, x.shape, x.frac, x.bound + y.bound, masked=x.masked, mask_bits=length)
+
+
+def aligned(x: Value, y: Value) -> tuple[Value, Value]:
+    """Both on one scale and in one shape: only then may their entries, norms and bounds be put together."""
+    if x.engine is not y.engine:
+        raise ValueError("the two values belong to different runs")
+    frac, shape = max(x.frac, y.frac), np.broadcast_shapes(x.shape, y.shape)
+    return x.rescaled(frac).broadcast(shape), y.rescaled(frac).broadcast(shape)
 
 
 def concatenate(*values: Value) -> Value:
@@ -258,23 +277,3 @@ def split(value: Value, shapes: Sequence[Shape]) -> list[Value]:
         results.append(value[start:stop].reshape(*shape))
         start = stop
     return results
-
-
-def _largest(raw: int | IntArray) -> int:
-    """Largest magnitude of public raw integers."""
-    return abs(raw) if isinstance(raw, int) else int(np.abs(raw).max(initial=0))
-
-
-def _raw(number: npt.ArrayLike, frac: int) -> Any:
-    """Round public numbers to raw integers: a Python int for a scalar, else an int64 array."""
-    if isinstance(number, (int, float, np.integer, np.floating)):
-        if not isinstance(number, int) and not np.isfinite(number):
-            raise ValueError("a public number must be finite")
-        return round(Fraction(number.item() if isinstance(number, np.generic) else number) * (1 << frac))
-    numbers = np.asarray(number)
-    if numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
-        raise ValueError("public numbers must be real and finite")
-    scaled = np.rint(numbers.astype(np.float64) * float(1 << frac))
-    if np.abs(scaled).max(initial=0.0) >= 2.0**53:
-        raise ValueError(f"public array entries must be below 2^{53 - frac} to be exact")
-    return scaled.astype(np.int64)
