@@ -36,8 +36,11 @@ SECURITY_BITS = 40
 
 
 def signed_bits(bound: int) -> int:
-    """The smallest b with ``bound < 2^(b-1)``: a signed number of at most this magnitude has b bits."""
-    return bound.bit_length() + 1
+    """The smallest b >= 2 with ``bound < 2^(b-1)``: a signed number of at most this magnitude has b bits.
+
+    (A number that is always 0 counts as one that may be 1: below its sign there is a bit to compare.)
+    """
+    return max(bound.bit_length(), 1) + 1
 
 
 def integer_mask(r: FieldArray, bits: int) -> FieldArray:
