@@ -18,5 +18,6 @@ async def cosine(x: Value, y: Value) -> Value:
     cross = dot(x, y)
     (of_x, of_y), (product,) = await parallel(power(dot(x, x), dot(y, y), alpha=Fraction(-1, 2)), mask(cross))
     scaled = multiply(product, of_x.scale, of_y.scale, entry=1.25)
+    scaled = scaled.rescaled(max(scaled.frac, _BITS))
     m_x, m_y, scaled = await truncate(of_x.mantissa, of_y.mantissa, scaled, frac=_BITS)
     return multiply(scaled, m_x, m_y, entry=1.01)

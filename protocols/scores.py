@@ -62,7 +62,7 @@ class Score:
 
 async def rounded(z: Value) -> Value:
     """A score in 24 fractional bits: what it is opened with."""
-    (result,) = await truncate(z, frac=24)
+    (result,) = await truncate(z.rescaled(max(z.frac, 24)), frac=24)
     return result
 
 

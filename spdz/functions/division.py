@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from math import inf
 
 from spdz.coroutine import parallel
 from spdz.functions.power import power
@@ -10,6 +11,7 @@ from spdz.functions.roots import RESULT_BITS
 from spdz.gates.masking import mask
 from spdz.gates.monomial import multiply
 from spdz.gates.truncation import truncate
+from spdz.public import fraction_bits
 from spdz.value import Value
 
 
@@ -34,19 +36,26 @@ async def divide(x: Value, y: Value, *, largest: float, frac: int = 24, positive
     Args:
         x: Dividend.
         y: Divisor. Where it is 0 the result is 0.
-        largest: A public bound on ``|x / y|``: a quotient beyond it is wrong.
-        frac: Fractional bits of the result.
+        largest: A public bound on ``|x / y|``, believed: a quotient beyond it is wrong.
+        frac: Fractional bits of the result, 0 or more.
         positive: Whether y is never negative: half the work; a negative y then counts as 0.
 
     Returns:
         A masked value.
+
+    Raises:
+        ValueError: if ``largest`` or ``frac`` makes no sense.
     """
+    if not 0 < largest < inf:
+        raise ValueError("largest must be above 0 and finite: a bound on the quotient's magnitude")
+    frac = fraction_bits(frac)
     (inverse,), (x,) = await parallel(power(y, alpha=Fraction(-1), signed=not positive), mask(x))
     quotient = multiply(x, inverse.scale, entry=1.25 * largest)
-    bits = frac + 3  # the mantissa is below 2.2: an error of less than one unit of the result
+    bits = frac + 3  # the mantissa is below 2.25: an error of less than one unit of the result
     (mantissa,), (quotient,) = await parallel(
         truncate(inverse.mantissa, frac=RESULT_BITS),
         truncate(quotient.rescaled(max(quotient.frac, bits)), frac=bits),
     )
-    (result,) = await truncate(multiply(mantissa, quotient, entry=1.01 * largest), frac=frac)
+    known = 1.01 * largest + 2.0**-frac
+    (result,) = await truncate(multiply(mantissa, quotient, entry=known), frac=frac)
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from math import prod
 
 from spdz.functions.power import Power, power
 from spdz.functions.roots import RESULT_BITS
@@ -39,13 +40,15 @@ async def l1_normalised(*vectors: Value) -> list[Value]:
 
 def _rows(vectors: Sequence[Value]) -> Value:
     """All vectors below each other: one batch costs little more than one vector."""
-    if len({x.shape[-1] for x in vectors}) != 1:
-        raise ValueError("vectors that are normalised together must have equal length")
-    return concatenate(*(x.reshape(-1, x.shape[-1]) for x in vectors))
+    lengths = {x.shape[-1] if x.shape else 0 for x in vectors}
+    if len(lengths) != 1 or 0 in lengths:
+        raise ValueError("vectors that are normalised together must have equal length, at least 1")
+    return concatenate(*(x.reshape(prod(x.shape[:-1]), x.shape[-1]) for x in vectors))
 
 
 async def _scaled(vectors: Sequence[Value], rows: Value, inverse: Power) -> list[Value]:
     (mantissa,) = await truncate(inverse.mantissa, frac=RESULT_BITS)
     product = multiply(rows, inverse.scale[:, None], mantissa[:, None], norm=1.001)
-    (result,) = await truncate(product, frac=NORMALISED_BITS)
+    fine = product.rescaled(max(product.frac, NORMALISED_BITS))
+    (result,) = await truncate(fine, frac=NORMALISED_BITS)
     return split(result, [x.shape for x in vectors])

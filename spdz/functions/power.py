@@ -30,6 +30,7 @@ from math import ceil
 import gmpy2
 import numpy as np
 
+from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.functions.segments import DEGREE, MANTISSA_BITS, Segment, Table, table
 from spdz.gates.masking import mask
@@ -44,6 +45,9 @@ T_BITS = 18
 
 FINE_BITS = 62
 """Fractional bits of p(t): a coefficient of t^3 is rounded by 2^-63, and (d 2^18)^3 < 2^44."""
+
+_LARGEST_MANTISSA = 9 << (MANTISSA_BITS + FINE_BITS - 2)
+"""2.25, in raw units of mu p(t)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +93,12 @@ class _Power(Gate):
         (u,) = await mask(u)
         deviation, mantissa, *scales = await mask(*piecewise(u, pieces))
         (t,) = await truncate(deviation, frac=T_BITS)
-        largest = 9 << (MANTISSA_BITS + FINE_BITS - 2)
-        return Power(polynomial(mantissa, t, coefficients, FINE_BITS, largest), *scales)
+        return Power(polynomial(mantissa, t, coefficients, FINE_BITS, _LARGEST_MANTISSA), *scales)
 
     async def clear(self, engine: ClearText, u: Value) -> Power:
         """The scale of the segment, and the mantissa that makes the product right."""
         pieces, _ = _tables(self, u.bound.entry, u.frac)
-        _, mantissa, scale, *unscale = piecewise(u, pieces)
+        _, _, scale, *unscale = piecewise(u, pieces)
         bits = MANTISSA_BITS + FINE_BITS
         raw = [int(one) for one in np.asarray(u.parts[0]).flat]
         scales = [int(one) for one in np.asarray(scale.parts[0]).flat]
@@ -104,7 +107,7 @@ class _Power(Gate):
             for one, power in zip(raw, scales, strict=True)
         ]
         result = np.array(exact, dtype=object).reshape(u.shape)
-        return Power(engine.value(result, bits, mantissa.bound.scaled(2 << FINE_BITS)), scale, *unscale)
+        return Power(engine.value(result, bits, Bound.of_entry(_LARGEST_MANTISSA, u.shape)), scale, *unscale)
 
 
 def _mantissa(alpha: Fraction, u: int, frac: int, scale: int, scale_frac: int) -> int:
@@ -173,7 +176,7 @@ async def power(*values: Value, alpha: Fraction, signed: bool = False, unscale: 
     Returns:
         Mantissa and scale of each; both 0 where u is 0.
     """
-    if alpha not in (Fraction(1, 2), Fraction(-1, 2), Fraction(-1)):
+    if (alpha := Fraction(alpha)) not in (Fraction(1, 2), Fraction(-1, 2), Fraction(-1)):
         raise ValueError(f"a power must be 1/2, -1/2 or -1, not {alpha}")
     flat = concatenate(*(u.reshape(-1) for u in values)) if len(values) > 1 else values[0]
     if (alpha * flat.frac).denominator != 1:

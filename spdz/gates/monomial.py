@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
-from math import ceil, ldexp, prod
+from math import prod
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.gates.element import Element, pack, times, total, unpack
 from spdz.gates.masking import tightened
+from spdz.public import limit
 from spdz.types import FieldArray, Shape
 from spdz.value import Value
 
@@ -47,11 +48,14 @@ class Monomial(Gate):
             raise TypeError("a product needs masked values: `await spdz.mask(z)` first")
         shape = np.broadcast_shapes(*(factor.shape for factor in factors))
         frac = sum(factor.frac for factor in factors)
-        known = tightened(
+        bound = tightened(
             Bound.of_entry(prod(factor.bound.entry for factor in factors), shape),
-            *(None if limit is None else ceil(ldexp(limit, frac)) for limit in (self.entry, self.norm)),
+            *(
+                None if known is None else limit(known, frac, name)
+                for known, name in ((self.entry, "entry"), (self.norm, "norm"))
+            ),
         )
-        return shape, frac, known
+        return shape, frac, bound
 
     def deal(self, recipe: Recipe, *factors: Value) -> Value:
         """Deal the products of two masks and more."""
@@ -115,11 +119,14 @@ def multiply(*factors: Value, entry: float | None = None, norm: float | None = N
     Args:
         factors: Masked values; the fractional bits of the result are all of theirs added up.
         entry: The largest magnitude of an entry that an honest run can give, as a real number, where the
-            caller knows better than the product of the factors' bounds.
+            caller knows better than the product of the factors' bounds. It is believed.
         norm: The same for the L2 norm along the last axis.
 
     Returns:
         The shared product.
+
+    Raises:
+        ValueError: if a bound is negative or not finite, or the shapes do not broadcast.
     """
     if len(factors) < 2:
         raise ValueError("a product takes two factors or more")

@@ -85,7 +85,7 @@ class Piecewise(Gate):
         outputs = dcf.evaluate(party.index, roots, key, low_bits(points, bits - 1), bits - 1, columns)
         halves = np.concatenate([h.reshape(n, 1, width, 2) for h in half if h is not None], axis=2)
         signed = _signed(_top_bit(points, bits)[..., None], field.sub(outputs, halves))
-        sums = _weighted(pieces, signed).reshape((-1, shares, width, *shape, 2))
+        sums = _weighted(pieces, signed).reshape((len(pieces.jumps), shares, width, *shape, 2))
         return [self._value(party, z, i, sums) for i in range(len(pieces.functions))]
 
     def _value(self, party: Evaluation, z: Value, i: int, sums: FieldArray) -> Value:
@@ -129,7 +129,7 @@ def _weighted(pieces: Pieces, signed: FieldArray) -> FieldArray:
         column = signed[:, 0].swapaxes(0, 1)
         return np.stack([field.scale(column, weight) for (weight,) in pieces.jumps])
     vectors = signed.transpose(2, 0, 1, 3).reshape(1, columns * n, k, 2)
-    return inner_product.dot(pieces.weights, vectors).reshape(-1, columns, n, 2)
+    return inner_product.dot(pieces.weights, vectors).reshape(len(pieces.jumps), columns, n, 2)
 
 
 def _minus(a: FieldArray, b: FieldArray) -> FieldArray:

@@ -68,7 +68,7 @@ class Polynomial(Gate):
         nothing = field.zeros(shape)  # the share of an input's mask at the peer
         columns = [nothing if part is None else part for part in (*w.parts, *y.parts)]
         columns += [row for share in dealt[:width] if share is not None for row in share]
-        if prod(shape) <= _FEW:
+        if 0 < prod(shape) <= _FEW:
             entries = zip(*(field.to_list(column) for column in columns), strict=True)
             results = [self._entry(width, *entry) for entry in entries]
             packed = [field.from_ints(numbers).reshape((*shape, 2)) for numbers in zip(*results, strict=True)]
@@ -124,12 +124,14 @@ def polynomial(w: Value, y: Value, coefficients: tuple[int, ...], frac: int, ent
         y: Masked value of the same shape.
         coefficients: a_0 .. a_n, public raw integers.
         frac: Fractional bits that the polynomial's value has.
-        entry: A public bound on the result's magnitude, in raw units.
+        entry: A public bound on the result's magnitude, in raw units. It is believed.
 
     Returns:
         The shared result.
     """
     if not (w.masked and y.masked) or w.shape != y.shape:
         raise TypeError("a polynomial needs a masked factor and a masked argument of one shape")
+    if entry < 0:
+        raise ValueError(f"the bound on a polynomial's magnitude cannot be negative, got {entry}")
     result: Value = y.engine.read(Polynomial(tuple(coefficients), frac, entry), w, y)
     return result

@@ -40,16 +40,16 @@ class Contraction:
 
 
 def _dot_shape(x: Shape, y: Shape) -> Shape:
-    if not x or not y or x[-1] != y[-1]:
-        raise ValueError(f"dot needs last axes of equal length, got shapes {x} and {y}")
+    if not x or not y or x[-1] != y[-1] or not x[-1]:
+        raise ValueError(f"dot needs last axes of equal length, at least 1, got shapes {x} and {y}")
     return np.broadcast_shapes(x[:-1], y[:-1])
 
 
 def _clear_dot(x: BigIntArray, y: BigIntArray) -> BigIntArray:
     """Exact integer dot product over the last axis.
 
-    int64 inputs are split at 20 bits: with |x| < 2^40 each partial product stays below 2^40, and a sum of
-    up to 2^22 of them below 2^62.
+    int64 arrays, which are below 2^40 (:func:`spdz.rings.whole`), are split at 20 bits: each partial product
+    stays below 2^40, and a sum of up to 2^22 of them below 2^62.
     """
     if x.dtype == object or y.dtype == object or x.shape[-1] > 1 << 22:
         return np.asarray((x.astype(object) * y).sum(axis=-1), dtype=object)

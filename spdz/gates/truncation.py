@@ -26,6 +26,7 @@ from spdz import dcf, field
 from spdz.bound import Bound, root
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits, mask
+from spdz.public import fraction_bits
 from spdz.types import FieldArray
 from spdz.value import Value
 
@@ -115,31 +116,32 @@ class TruncateExactly(Gate):
 
     drop: int
 
-    def _result(self, z: Value) -> tuple[int, Value]:
+    def _raised(self, z: Value) -> tuple[int, Value]:
+        """Half a unit more: its bits, and itself."""
         half = z.plus_raw(1 << (self.drop - 1))
         return _bits(half, self.drop), half
 
     def deal(self, recipe: Recipe, z: Value) -> Value:
         """Deal [[rho >> f]] and a key for the carry."""
-        (bits, z), drop = self._result(z), self.drop
+        (bits, half), drop = self._raised(z), self.drop
         shape = z.shape
 
         def rho() -> FieldArray:
-            return dealt_integer_mask(z.parts[0], bits)
+            return dealt_integer_mask(half.parts[0], bits)
 
-        recipe.authenticated(shape, lambda: shifted(rho(), drop), of=(z,), count=(EXACT, prod(shape)))
+        recipe.authenticated(shape, lambda: shifted(rho(), drop), of=(half,), count=(EXACT, prod(shape)))
         recipe.comparison_key(shape, drop, 1, lambda: (low_bits(rho(), drop), _ones(shape)))
         return recipe.shared_value(
-            f"{EXACT} by {drop} of {bits} bits", (z,), shape, z.frac - drop, _bound(z, drop)
+            f"{EXACT} by {drop} of {bits} bits", (half,), shape, z.frac - drop, _bound(z, drop)
         )
 
     def evaluate(self, party: Evaluation, z: Value) -> Value:
         """``(c >> f) - (rho >> f) - [c mod 2^f < rho mod 2^f] - 2^(b-1-f)``."""
-        (bits, z), drop = self._result(z), self.drop
+        (bits, half), drop = self._raised(z), self.drop
         shape, width = z.shape, len(z.parts) - 1
         shift = party.authenticated(shape, count=(EXACT, prod(shape)))
         roots, key = party.comparison_key(shape, drop, 1)
-        c = z.parts[0]
+        c = half.parts[0]
         borrow = dcf.evaluate(party.index, roots, key, low_bits(c, drop).reshape(-1, 2), drop, width)
         parts = []
         for j in range(width):
@@ -171,11 +173,15 @@ async def truncate(*values: Value, frac: int) -> list[Value]:
 
     Args:
         values: Values of any shape with at least ``frac`` fractional bits.
-        frac: Fractional bits that remain.
+        frac: Fractional bits that remain, 0 or more.
 
     Returns:
         The truncated values, in order.
+
+    Raises:
+        ValueError: if a value has fewer fractional bits, or frac is negative or no integer.
     """
+    frac = fraction_bits(frac)
     masked = await mask(*values)
     return [z if z.frac == frac else z.engine.read(Truncate(_drop(z, frac)), z) for z in masked]
 
@@ -185,11 +191,13 @@ async def round_exactly(*values: Value, frac: int) -> list[Value]:
 
     As :func:`truncate`, for one DCF key of as many bits as are dropped; the results are shared.
     """
+    frac = fraction_bits(frac)
     masked = await mask(*values)
     return [z if z.frac == frac else z.engine.read(TruncateExactly(_drop(z, frac)), z) for z in masked]
 
 
 def _drop(z: Value, frac: int) -> int:
+    """Bits that go; the meter sees what is wrong before a job is used."""
     if z.frac < frac:
         raise ValueError(f"a value with {z.frac} fractional bits cannot be cut to {frac}")
     return z.frac - frac
