@@ -19,6 +19,7 @@ from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
 from spdz.errors import OutOfStep, ProtocolViolation, SpdzError, TapeExhausted
 from spdz.program import Program, quantise
+from spdz.public import refuse_masked
 from spdz.session import Session
 from spdz.tape import TapeHeader
 
