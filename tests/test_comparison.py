@@ -113,6 +113,27 @@ def test_the_largest_of_single_vectors_at_the_ends_of_the_range(security):
         assert run_gate(largest, integers(*z), bound=bound, security=security).value == max(z)
 
 
+@pytest.mark.parametrize("security", [*SECURITIES, None])
+@pytest.mark.parametrize("gate", [nonnegative, sign, absolute, largest])
+def test_a_public_zero_is_compared_as_any_other_number(gate, security):
+    async def program(engine, x, y):
+        return await gate(x * 0)
+
+    run = exactly(program, [1.0, -2.0], [0.0], security).value
+    assert np.all(run == (gate is nonnegative))
+
+
+@pytest.mark.parametrize("security", [*SECURITIES, None])
+def test_the_largest_of_nothing_is_refused_when_it_is_metered(security):
+    for function in (lambda x: largest(x[0]), lambda x: largest(x[:0])):
+
+        async def program(engine, x, y, function=function):
+            return await function(x)
+
+        with pytest.raises(ValueError, match="a last axis of one entry or more"):
+            run_clear(program, [1.0], [1.0]) if security is None else measure(program, ((1,), (1,)), security)
+
+
 def rounds(function, security, x=(1.0, -2.0, 0.5), y=(3.0, -4.0, 0.25)):
     async def program(engine, x, y):
         return await function(x, y)

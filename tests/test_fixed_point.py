@@ -67,6 +67,59 @@ def test_bad_input_is_refused_in_words_without_values(bad, match):
     assert "123" not in str(caught.value) and "1e" not in str(caught.value)
 
 
+HIDDEN = np.ma.array([[0.6, 0.8], [0.6, 99.0]], mask=[[False, False], [False, True]])
+
+
+@pytest.mark.parametrize("masked", [HIDDEN, list(HIDDEN), (HIDDEN[0],), HIDDEN[:1], [[HIDDEN]]], ids=repr)
+def test_masked_arrays_are_refused_with_what_to_do(masked):
+    with pytest.raises(ValueError, match=r"scan: a masked array .*filled"):
+        encode(masked, max_norm=1.0, name="scan")
+    assert encode(HIDDEN.filled(0), max_norm=1.0).shape == (2, 2)
+
+
+def unit_rows(n, dtype, count=60):
+    """Rows that were normalised in this precision, as a network's output is."""
+    x = np.random.default_rng(n).standard_normal((count, n)).astype(dtype)
+    return x / np.linalg.norm(x, axis=-1, keepdims=True).astype(dtype)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 16, 17, 256, 1536, 8192])
+def test_rows_normalised_in_single_precision_are_accepted(n):
+    """They are too long by 1e-7, which the room for rounding in the bound covers."""
+    x = unit_rows(n, np.float32)
+    if n > 2:
+        assert (np.linalg.norm(x.astype(np.float64), axis=-1) > 1).any()
+    raw = encode(x, max_norm=1.0)
+    assert all(sum(one * one for one in row) <= norm_bound(1.0, n) ** 2 for row in raw.tolist())
+
+
+def test_rows_normalised_in_half_precision_are_told_to_be_normalised_in_double_precision():
+    x = unit_rows(256, np.float16)
+    excess = np.linalg.norm(x.astype(np.float64), axis=-1).max() - 1
+    assert 1e-4 < excess < 1e-2
+    with pytest.raises(
+        ValueError, match=r"by 0\.\d+ %; normalise it in float64, .*linalg\.norm.*keepdims=True"
+    ):
+        encode(x, max_norm=1.0)
+    x = np.asarray(x, np.float64)
+    encode(x / np.linalg.norm(x, axis=-1, keepdims=True), max_norm=1.0)
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ([1.00123, 0.0], "by 0.123 %"),
+        ([0.0, -1.5], "by 50 %"),
+        ([12.0, 16.0], "by a factor of 20"),
+        ([3e200, 4e200], r"by a factor of 5e\+200"),
+        ([1e308, 1e308], "by a factor of 1.41e"),
+    ],
+)
+def test_the_message_says_how_much_too_long_a_vector_is(row, says):
+    with pytest.raises(ValueError, match=says):
+        encode([[0.6, 0.8], row], max_norm=1.0)
+
+
 def test_the_message_names_the_limit():
     with pytest.raises(ValueError, match=r"above 1\.5"):
         encode([3.0], max_norm=1.5)

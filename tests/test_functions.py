@@ -23,12 +23,14 @@ from spdz import (
     dot,
     l1_normalised,
     l2_normalised,
+    mask,
     measure,
     multiply,
     power,
     reciprocal,
     reciprocal_sqrt,
     run_local,
+    sign,
     sqrt,
     truncate,
 )
@@ -467,6 +469,38 @@ def test_the_public_bound_holds_normalised_vectors(normalise, security):
     for bounds in seen:
         for bound in bounds:
             assert 1 << 24 <= bound.entry <= bound.norm <= 1.01 * 2**24
+
+
+@pytest.mark.parametrize("security", [*SECURITIES, None])
+@pytest.mark.parametrize("normalise", NORMS)
+def test_vectors_of_whole_numbers_are_normalised(normalise, security):
+    """Signs and bits have no fractional bits."""
+    norm, _ = NORMS[normalise]
+
+    async def program(engine, x, y):
+        (signs,) = await mask(await sign(x))
+        return (await normalise(signs))[0]
+
+    value = exactly(program, [3.0, 0.0, -0.5], [0.0], security).value
+    length = float(norm(integers(1, 0, -1)))
+    assert np.abs(np.array(value, dtype=np.float64) - np.array([1, 0, -1]) / length).max() < 2**-15.9
+
+
+@pytest.mark.parametrize("security", SECURITIES)
+@pytest.mark.parametrize("units", [0.5, 0.99, 1, 9.9, 100.99, 2.0**20 - 0.001])
+def test_the_public_bound_holds_a_quotient_and_its_rounding(units, security):
+    """Of ``largest`` itself, whose last bits the cuts of mantissa and quotient move."""
+    seen = []
+
+    async def quotient(a, b):
+        result = await divide(a, b, largest=units * 2.0**-24)
+        seen.append(result.bound)
+        return result
+
+    x, y = integers(*[int(units * 2**16)] * 50), integers(*[1 << 40] * 50)
+    run_gate(quotient, x, y, bound=1 << 40, security=security)
+    largest_cut = units * (1 + 2**-16) + 2.25 / 8
+    assert {bound.entry > largest_cut for bound in seen} == {True}
 
 
 @pytest.mark.parametrize("security", SECURITIES)

@@ -7,10 +7,28 @@ from hypothesis import strategies as st
 
 from protocols import is_candidate
 from protocols.scores import S6, S10, SCORES, Score
-from spdz import Value, beaver_multiply, dot, measure, multiply, nonnegative, run_clear, run_local
+from spdz import (
+    Value,
+    absolute,
+    beaver_dot,
+    beaver_multiply,
+    divide,
+    dot,
+    l2_normalised,
+    maximum,
+    measure,
+    multiply,
+    nonnegative,
+    round_exactly,
+    run_clear,
+    run_local,
+    sqrt,
+    truncate,
+)
 from spdz.bound import Bound
 from spdz.clear import Clear
 from spdz.coroutine import parallel
+from spdz.value import concatenate
 
 N = 6
 X = np.array([0.5, -1.0, 2.0, 0.25, -0.125, 3.0])
@@ -148,6 +166,69 @@ def test_bounds_hold(rows, n, constant, factor, seed):
     for value, claimed in steps:
         assert np.abs(value).max() <= claimed.entry
         assert np.linalg.norm(np.atleast_1d(value), axis=-1).max() <= claimed.norm + 1e-6
+
+
+WITHOUT_ENTRIES = {
+    "inputs": lambda x, y: x - y,
+    "public numbers": lambda x, y: x * np.zeros(0) + np.zeros((2, 0)),
+    "a product": lambda x, y: multiply(x, y),
+    "a Beaver product": beaver_multiply,
+    "a bit": lambda x, y: nonnegative(x),
+    "a magnitude": lambda x, y: absolute(x),
+    "a maximum": maximum,
+    "a cut number": lambda x, y: truncate(x, frac=3),
+    "a rounded number": lambda x, y: round_exactly(x, frac=3),
+    "a root": lambda x, y: sqrt(x),
+    "a quotient": lambda x, y: divide(x, y, largest=9.0),
+    "unit vectors": lambda x, y: l2_normalised(x.reshape(0, 3)),
+}
+
+
+@pytest.mark.parametrize("security", ["malicious", "semi-honest", None])
+@pytest.mark.parametrize("name", WITHOUT_ENTRIES)
+def test_an_array_without_entries_passes_through(name, security):
+    async def program(engine, x, y):
+        result = WITHOUT_ENTRIES[name](x[:0], y[:0])
+        result = await result if hasattr(result, "__await__") else result
+        return result[0] if isinstance(result, list) else result
+
+    outcome = run_clear(program, X, Y) if security is None else run_local(program, X, Y, security)
+    assert np.size(outcome.value) == 0
+
+
+@pytest.mark.parametrize(
+    "function", [dot, beaver_dot, lambda x, y: l2_normalised(x)], ids=["dot", "beaver", "l2"]
+)
+def test_vectors_without_coordinates_are_refused_when_they_are_metered(function):
+    async def program(engine, x, y):
+        result = function(x[:0], y[:0])
+        return await result if hasattr(result, "__await__") else result
+
+    with pytest.raises(ValueError, match="at least 1"):
+        measure(program, ((N,), (N,)), "malicious")
+    with pytest.raises(ValueError, match="at least 1"):
+        run_clear(program, X, Y)
+
+
+@pytest.mark.parametrize("doublings", [0, 1, 2, 10, 25, 40])
+def test_the_clear_reading_is_exact_however_long_its_integers_grow(doublings):
+    """Sums, negations, joins and dot products of numbers around 2^40, 2^63 and 2^64."""
+    raw = np.array([2**38 - 1, -(2**38), 2**37 + 1], dtype=object)
+    for step in range(doublings + 1):
+        total = raw * 2**step
+        z = Clear(0).value(raw.astype(np.int64), 16, Bound.of_norm(2**39))
+        for _ in range(step):
+            z = z + z
+        clear = [
+            (-z, -total),
+            (z - (z + z), -total),
+            (-z[0], -total[0]),
+            (concatenate(z[0].reshape(1), -z[1].reshape(1), z), [total[0], -total[1], *total]),
+            ((z.sum() - z[2]).plus_raw(2**63), total[0] + total[1] + 2**63),
+            (dot(z, z) if step < 20 else z, (total * total).sum() if step < 20 else total),
+        ]
+        for value, exact in clear:
+            assert np.array_equal(np.asarray(value.parts[0]).astype(object), np.asarray(exact, dtype=object))
 
 
 def test_a_program_that_could_leave_the_field_is_refused_before_it_runs():
