@@ -92,6 +92,7 @@ def check(
 
 def check_descriptors(purpose: Purpose, program: Program, descriptors: npt.ArrayLike) -> npt.NDArray[Any]:
     """The descriptors as an array of shape (n, N), n >= 0; raises ValueError naming what does not suit."""
+    refuse_masked(descriptors, "descriptors")
     own = np.asarray(descriptors)
     if own.shape == (0,):
         own = np.empty((0, purpose.dim))

@@ -126,6 +126,15 @@ class Value:
 
     __le__ = __gt__ = __ge__ = __lt__
 
+    def __eq__(self, other: object) -> bool:
+        """Refused, so that no public False stands for a secret; :func:`spdz.sign` is 0 for equal values."""
+        raise TypeError(
+            "compare secret values by `await spdz.sign(x - y)`, which is a secret 0 for equal ones"
+        )
+
+    __ne__ = __eq__
+    __hash__ = object.__hash__
+
     def __bool__(self) -> bool:
         raise TypeError("a program cannot branch on a secret value: only its result is opened")
 

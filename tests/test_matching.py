@@ -70,7 +70,13 @@ def test_too_few_jobs_are_told_before_anything_is_consumed(tmp_path):
 
 @pytest.mark.parametrize(
     "bad",
-    [np.zeros((2, DIM + 1)), np.zeros(DIM), np.full((2, DIM), np.nan), 2 * unit(1, 2)],
+    [
+        np.zeros((2, DIM + 1)),
+        np.zeros(DIM),
+        np.full((2, DIM), np.nan),
+        2 * unit(1, 2),
+        np.ma.array(unit(1, 2), mask=True),
+    ],
 )
 def test_bad_descriptors_on_one_side_stop_both_and_consume_nothing(tmp_path, bad):
     paths, states = mission(tmp_path / "m", 4), state_dirs(tmp_path)

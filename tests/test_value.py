@@ -305,6 +305,8 @@ def test_a_misspelt_security_model_never_becomes_the_weaker_one(security):
         (formula(lambda x, y: (x, y)), "must return one value, not tuple"),
         (formula(lambda x, y: x / 2), "reciprocal"),
         (formula(lambda x, y: x > y), "nonnegative"),
+        (formula(lambda x, y: x * (x == y)), "sign"),
+        (formula(lambda x, y: y + (x != 0)), "sign"),
         (formula(lambda x, y: x if dot(x, y) else y), "branch"),
         (formula(lambda x, y: x * y), "spdz.multiply"),
     ],
