@@ -57,7 +57,7 @@ def exact(number, frac):
     return [round(Fraction(one) * (1 << frac)) for one in whole]
 
 
-@pytest.mark.parametrize("frac", [0, 1, 16, 33, 64, 100])
+@pytest.mark.parametrize("frac", [0, 1, 16, 33, 60, 64, 100])
 @pytest.mark.parametrize("number", [*WHOLE.values(), *REAL.values()], ids=[*WHOLE, *REAL])
 def test_any_type_is_rounded_once(number, frac):
     raw = rounded(number, frac)
