@@ -17,6 +17,8 @@ from gate_helpers import SECURITIES, WIDEST, exactly, integers, run_gate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from protocols.cosine import cosine
+from protocols.scores import rounded
 from spdz import (
     absolute,
     divide,
@@ -484,6 +486,16 @@ def test_vectors_of_whole_numbers_are_normalised(normalise, security):
     value = exactly(program, [3.0, 0.0, -0.5], [0.0], security).value
     length = float(norm(integers(1, 0, -1)))
     assert np.abs(np.array(value, dtype=np.float64) - np.array([1, 0, -1]) / length).max() < 2**-15.9
+
+
+@pytest.mark.parametrize("security", [*SECURITIES, None])
+def test_the_cosine_of_whole_numbers_and_a_count_as_a_score(security):
+    async def program(engine, x, y):
+        signs, others = await mask(await sign(x), await sign(y))
+        return await rounded(await cosine(signs, others) + await rounded(signs.sum()))
+
+    value = exactly(program, [3.0, 0.0, -0.5, 1.0], [1.0, 1.0, -2.0, -1.0], security).value
+    assert abs(float(value) - (1 + 1 / 12**0.5)) < 2**-15.9
 
 
 @pytest.mark.parametrize("security", SECURITIES)
