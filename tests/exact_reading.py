@@ -89,7 +89,7 @@ class Number:
         exact = fractions(factor, bits)
         return Number(
             self.exact * exact,
-            self.error * np.abs(exact.astype(np.float64)),
+            spread(self.error, np.abs(exact.astype(np.float64))),
             None if self.frac is None else self.frac + bits,
         )
 
@@ -118,6 +118,12 @@ def magnitudes(z):
     return np.abs(z.exact.astype(np.float64))
 
 
+def spread(a, b):
+    """A product of magnitudes and errors: 0 times any error, an endless one too, is 0."""
+    with np.errstate(invalid="ignore"):
+        return np.where((np.equal(a, 0)) | (np.equal(b, 0)), 0.0, np.multiply(a, b))
+
+
 def _entrywise(function, *numbers, frac):
     """``function(number, error, ..) -> (number, error)`` of every entry, broadcasting."""
     arrays = np.broadcast_arrays(*(part for z in numbers for part in (z.exact, z.error)))
@@ -139,9 +145,9 @@ def multiply(*factors, entry=None, norm=None):
     product = factors[0]
     for factor in factors[1:]:
         error = (
-            magnitudes(product) * factor.error
-            + magnitudes(factor) * product.error
-            + product.error * factor.error
+            spread(magnitudes(product), factor.error)
+            + spread(magnitudes(factor), product.error)
+            + spread(product.error, factor.error)
         )
         frac = None if None in (product.frac, factor.frac) else product.frac + factor.frac
         product = Number(product.exact * factor.exact, error, frac)
@@ -266,7 +272,7 @@ async def divide(x, y, *, largest, frac=24, positive=False):
         inverse, error = _reciprocal(w, f, positive=positive)
         if error == inf:
             return Fraction(0), inf
-        total = abs(float(v)) * error + e * abs(float(inverse)) + e * error
+        total = abs(float(v)) * error + float(spread(e, abs(float(inverse)) + error))
         return v * inverse, total + 2.0**-frac if v * inverse or total else 0.0
 
     return _entrywise(quotient, x, y, frac=frac)
