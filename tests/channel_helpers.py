@@ -13,7 +13,7 @@ import pytest
 from dealer.pki import MissionAuthority, write_credentials
 from spdz.channels import FrameKind, MemoryChannel, SocketChannel, memory_pair, tcp, tls
 from spdz.channels.addresses import parse_address
-from spdz.channels.stream import complete
+from spdz.channels.stream import PlainStream, complete
 from spdz.channels.tls_stream import TlsStream
 from spdz.errors import ChannelClosed
 
@@ -78,6 +78,22 @@ def ways(kind, folders):
         lambda address, **rest: tls.listen(address, folders / "alice", "bob", **rest),
         lambda address, **rest: tls.connect(address, folders / "bob", "alice", **rest),
     )
+
+
+def pair_without_threads(kind, folders):
+    """Connected channels, made step by step: a fork may copy a lock that a thread holds while it ends."""
+    ends = socket.socketpair()
+    if kind == "tcp":
+        return [SocketChannel(PlainStream(end), LONG) for end in ends]
+    alice, bob = (
+        TlsStream(end, tls.make_context(folders / name, protocol), server_side=name == "alice")
+        for end, name, protocol in zip(
+            ends, ("alice", "bob"), (ssl.PROTOCOL_TLS_SERVER, ssl.PROTOCOL_TLS_CLIENT), strict=True
+        )
+    )
+    while alice.handshake() | bob.handshake():
+        pass
+    return [SocketChannel(alice, LONG), SocketChannel(bob, LONG)]
 
 
 @pytest.fixture(params=["memory", "tcp", "tls"])

@@ -115,9 +115,9 @@ PROGRAM = """
 import os, sys
 sys.path.insert(0, {tests!r})
 from pathlib import Path
-from channel_helpers import assert_alive, meet, ways
+from channel_helpers import assert_alive, pair_without_threads
 from spdz.channels import AbortReason
-a, b = meet(*ways({kind!r}, Path({folders!r})), timeout=20.0)
+a, b = pair_without_threads({kind!r}, Path({folders!r}))
 child = os.fork()
 if child == 0:
     {leave}
