@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from protocols.batching import jobs_together
 from protocols.catalog import Purpose
+from spdz.errors import TapeExhausted
 from spdz.meter import measure
 from spdz.program import Program
 from spdz.session import Session
@@ -92,7 +93,6 @@ class Batch:
         self.number, self.token, self.met, self.done = number, secrets.token_hex(8), "", 0
         self._own, self._purpose, self._party = own, purpose, party
         self._stats, self._jobs = Stats(), 0
-        self._places: list[tuple[int, int]] = []
         self._lay_out(0)
 
     def __len__(self) -> int:
@@ -102,7 +102,7 @@ class Batch:
     @property
     def tiles(self) -> int:
         """Tiles that cover all pairs with the peer's batch that was met."""
-        return len(self._places)
+        return self._blocks[0] * self._blocks[1]
 
     @property
     def matches(self) -> Matches:
@@ -111,15 +111,29 @@ class Batch:
         stats.add(self._stats)
         return Matches(self._table, self._decided, stats, self._jobs, self.number)
 
-    def meet(self, token: str, count: int, done: int) -> None:
+    def meet(self, token: str, count: int, done: int, jobs_left: int) -> None:
         """Go on against the peer's batch of this number.
 
         Args:
             token: The peer's batch's token.
             count: Its number of descriptors.
             done: Tiles that both sides have decided; 0 unless both have met this very batch before.
+            jobs_left: On the tapes.
+
+        Raises:
+            TapeExhausted: if the tapes cannot finish the batch; nothing has changed. Both sides find the same.
+                It also bounds what a peer's number makes this side allocate.
         """
-        if token != self.met or count != self._decided.shape[1]:
+        known = token == self.met and count == self._decided.shape[1]
+        first, second = self._cover(count)
+        needed = first * second - (min(self.done, done) if known else 0)
+        if needed > jobs_left:
+            raise TapeExhausted(
+                f"{len(self._own)} x {count} descriptors need {needed} jobs of {self._purpose.pairs} "
+                f"comparisons, and {jobs_left} are left; deal more with `python -m spdz.dealer` (a larger "
+                "--count, or --tile for fewer bytes)"
+            )
+        if not known:
             self.met = token
             self._lay_out(count)
         self.done = min(self.done, done)
@@ -144,8 +158,8 @@ class Batch:
         """
         tile = self._purpose.tile[self._party], self._purpose.tile[1 - self._party]
         shape = session.shapes[self._party]
-        while self.done < len(self._places):
-            places = self._places[self.done : self.done + together]
+        while self.done < self.tiles:
+            places = [self._place(k) for k in range(self.done, min(self.done + together, self.tiles))]
             result = session.run_many(program, [self._rows(i, tile[0]).reshape(shape) for i, _ in places])
             self._stats.add(result.stats)
             self._jobs += len(places)
@@ -161,14 +175,22 @@ class Batch:
 
     def _lay_out(self, count: int) -> None:
         """Forget what was decided against another batch of the peer's, and cover all pairs with tiles."""
-        own, theirs = self._purpose.tile[self._party], self._purpose.tile[1 - self._party]
-        grid = [(i, j) for i in range(-(-len(self._own) // own)) for j in range(-(-count // theirs))]
-        if self._party == 1:  # both sides walk the grid in the order of party 0
-            grid.sort(key=lambda place: (place[1], place[0]))
-        self._places, self.done = grid, 0
+        self._blocks, self.done = self._cover(count), 0
         kind = np.bool_ if self._purpose.reveal == "bit" else np.float64
         self._table = np.zeros((len(self._own), count), kind)
         self._decided = np.zeros(self._table.shape, np.bool_)
+
+    def _cover(self, count: int) -> tuple[int, int]:
+        """Blocks of own and of the peer's descriptors that tiles are made of."""
+        own, theirs = self._purpose.tile[self._party], self._purpose.tile[1 - self._party]
+        return -(-len(self._own) // own), -(-count // theirs)
+
+    def _place(self, k: int) -> tuple[int, int]:
+        """Own and peer's block of tile k: both sides walk party 0's blocks, and party 1's within each."""
+        if self._party == 0:
+            return divmod(k, self._blocks[1])
+        theirs, own = divmod(k, self._blocks[0])
+        return own, theirs
 
     def _decide(self, block: Block, on_block: Callable[[Block], None]) -> None:
         """Keep the first decision: a tile that the peer has missed is run again for the peer alone."""

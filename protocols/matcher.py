@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
-from protocols.matching import check_descriptors, require_jobs
+from protocols.matching import check_descriptors
 from protocols.position import Offer, Position, meeting
 from spdz.connect import check_where, open_session
 from spdz.errors import ChannelError, OutOfStep, SpdzError, TapeExhausted
@@ -257,8 +257,7 @@ class Matcher:
             batch = self._current if number == self._number else self._previous
             if batch is None:  # meeting() never gives a batch that this side does not offer
                 raise OutOfStep(f"there is no batch {number} here")
-            batch.meet(offer.token, offer.descriptors, done)
-            require_jobs(batch, session, self._purpose)
+            batch.meet(offer.token, offer.descriptors, done, session.remaining)
             for tiles in batch.run(session, self._program, self._together, self._on_block):
                 self._progressed = True
                 if batch is self._current:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
-from spdz.errors import OutOfStep, ProtocolViolation, SpdzError, TapeExhausted
+from spdz.errors import OutOfStep, ProtocolViolation, SpdzError
 from spdz.program import Program, quantise
 from spdz.public import refuse_masked
 from spdz.session import Session
@@ -62,8 +62,7 @@ def match(
             raise OutOfStep(
                 "the peer uses a Matcher (as the command does), this side match(): use one of them on both"
             )
-        batch.meet("", sensible_count(note["descriptors"]), 0)
-        require_jobs(batch, session, purpose)
+        batch.meet("", sensible_count(note["descriptors"]), 0, session.remaining)
         for done in batch.run(
             session, program, tiles_together(purpose, program, session.header.security), on_block
         ):
@@ -108,15 +107,3 @@ def sensible_count(count: object) -> int:
     if type(count) is not int or not 0 <= count <= _MOST:
         raise ProtocolViolation("the peer's number of descriptors is not a sensible number")
     return count
-
-
-def require_jobs(batch: Batch, session: Session, purpose: Purpose) -> None:
-    """Raise TapeExhausted if the tapes cannot finish a batch; both sides find the same."""
-    needed = batch.tiles - batch.done
-    if needed > session.remaining:
-        own, theirs = batch.matches.decisions.shape
-        raise TapeExhausted(
-            f"{own} x {theirs} descriptors need {needed} jobs of {purpose.pairs} comparisons, and "
-            f"{session.remaining} are left; deal more with `python -m spdz.dealer` (a larger --count, or "
-            "--tile for fewer bytes)"
-        )
