@@ -121,7 +121,7 @@ class Batch:
             jobs_left: On the tapes.
 
         Raises:
-            TapeExhausted: if the tapes cannot finish the batch; nothing has changed. Both sides find the same.
+            TapeExhausted: if the tapes cannot finish the batch; nothing has changed. Both find the same.
                 It also bounds what a peer's number makes this side allocate.
         """
         known = token == self.met and count == self._decided.shape[1]
