@@ -85,7 +85,7 @@ class Link:
         return second
 
 
-def robots(folder, paths, link, work, **options):
+def robots(folder, paths, link, work, *, first_pause=1e-3, **options):
     """Run ``work(matcher, party)`` for both robots over a link; returns results or exceptions, in order."""
 
     def robot(party):
@@ -98,7 +98,7 @@ def robots(folder, paths, link, work, **options):
 
     with (
         patch.object(matcher, "open_session", link.open_session),
-        patch.object(matcher, "_FIRST_PAUSE", 1e-3),
+        patch.object(matcher, "_FIRST_PAUSE", first_pause),
     ):
         with ThreadPoolExecutor(2) as pool:
             futures = [pool.submit(robot, party) for party in (0, 1)]

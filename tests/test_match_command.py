@@ -30,15 +30,19 @@ def mission(tmp_path_factory):
 
 
 def start(folder, robot, where, *extra):
+    """Start a robot; one that listens has said so when this returns."""
     peer = {"alice": "bob", "bob": "alice"}[robot]
     words = [*where, "--tape", f"{folder}/{robot}/{peer}.tape", "--descriptors", f"{folder}/{robot}.npy"]
     words += ["--threshold", "0.999", "--state-dir", f"{folder}/state-{robot}", *extra]
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "spdz", "match", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+    if "--listen" in where:
+        assert "listening on" in process.stderr.readline()
+    return process
 
 
 def run(folder, limits, *extra, gone=False):

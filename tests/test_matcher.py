@@ -2,16 +2,18 @@
 
 import os
 import tracemalloc
+from contextlib import ExitStack
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from link_helpers import DIM, Link, mission, robots, unit
 
-from protocols import Matcher, batching
+from protocols import Matcher, batching, is_candidate, matcher
 from protocols.batch import Batch
 from protocols.catalog import Purpose
 from protocols.position import Offer, Position, meeting
+from protocols.scores import S10
 from spdz import (
     ChannelClosed,
     ChannelError,
@@ -21,6 +23,7 @@ from spdz import (
     PeerAborted,
     ProtocolViolation,
     TapeExhausted,
+    run_clear,
 )
 from spdz.channels import FrameKind
 from spdz.tape import Tape
@@ -183,6 +186,56 @@ def test_a_robot_that_was_restarted_in_a_batch_compares_it_anew(tmp_path):
         assert np.array_equal(mine.decisions, expected(k, 0)) and np.array_equal(
             theirs.decisions, expected(k, 1)
         )
+
+
+def test_a_robot_that_was_restarted_in_the_middle_of_a_batch_compares_all_of_it(tmp_path):
+    """Its descriptors may be others, even where they are as many: nothing of the old ones is kept."""
+    paths = mission(tmp_path / "m", 400)
+    link = Link([(1, 2100)])
+    others = -BATCHES[1][0]
+
+    def work(one, party):
+        if party == 0:
+            return one.match(BATCHES[0][0])
+        with patch.object(matcher, "_LONGEST_PAUSE", 0), pytest.raises(ChannelError):
+            one._wait = 1e-3
+            one.match(BATCHES[1][0])
+        assert 0 < one.partial.pairs < 12
+        again = Matcher(paths[1], 0.2, connect="127.0.0.1:1", state_dir=tmp_path / "state-1")
+        with again:
+            return again.match(others)
+
+    with patch.object(batching, "MOST_JOBS", 1):
+        first, second = robots(tmp_path, paths, link, work)
+    alone = run_clear(is_candidate(S10.within(1.0), 0.2), BATCHES[0][0][:, None], others[None]).value
+    assert not np.array_equal(alone, expected(0, 0))
+    assert np.array_equal(first.decisions, alone) and np.array_equal(second.decisions, alone.T)
+
+
+class Clock:
+    """Time that passes while somebody sleeps, and only then."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+def test_the_wait_begins_again_whenever_something_went_on(tmp_path):
+    """The pauses after all drops are longer than the time to wait, each of them shorter."""
+    paths = mission(tmp_path / "m", 200, tile=(1, 1))
+    link = Link([(k % 2, 1900) for k in range(12)])
+    clock = Clock()
+    patches = [(batching, "MOST_JOBS", 1), (matcher, "time", clock), (matcher, "_LONGEST_PAUSE", 20.0)]
+    with ExitStack() as stack:
+        for where, what, value in patches:
+            stack.enter_context(patch.object(where, what, value))
+        check_all(robots(tmp_path, paths, link, all_batches, wait=60.0, first_pause=20.0))
+    assert clock.now > 120 and len(link.ends) > 3
 
 
 def test_robots_at_batches_far_apart_are_told_both_numbers(tmp_path):
