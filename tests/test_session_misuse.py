@@ -125,6 +125,17 @@ def test_the_jobs_left_are_known_after_the_end(tmp_path):
     }
 
 
+def test_the_jobs_left_are_known_after_a_quiet_end(tmp_path):
+    paths = deal(tmp_path / "m", S10, SHAPES, 5)
+
+    def work(session):
+        session.run(S10, OWN[session.party])
+        session.close()
+        return session.remaining
+
+    assert run_pair(paths, state_dirs(tmp_path), work) == [4, 4]
+
+
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\u202e\x9b"
 
 
