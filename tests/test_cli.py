@@ -162,7 +162,12 @@ def test_the_bench_prints_one_json_object_a_line():
 def test_an_interrupt_ends_a_command_in_one_line(mission, number):
     words = [sys.executable, "-m", "spdz", "match", "--tape", f"{mission}/alice/bob.tape"]
     words += ["--listen", f"127.0.0.1:{free_port()}", "--descriptors", f"{mission}/alice.npy"]
-    process = subprocess.Popen([*words, "--threshold", "0.8"], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*words, "--threshold", "0.8"],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a shell's background
+    )
     assert "listening on 127.0.0.1" in process.stderr.readline()
     process.send_signal(number)
     _, err = process.communicate(timeout=20)

@@ -39,6 +39,7 @@ def start(folder, robot, where, *extra):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a shell's background
     )
     if "--listen" in where:
         assert "listening on" in process.stderr.readline()

@@ -11,7 +11,7 @@ from session_helpers import deal, run_pair, state_dirs
 
 from protocols import is_candidate
 from protocols.scores import S10
-from spdz import ChannelError, OutOfStep, PeerAborted, TapeInUse, TapeMismatch, dot
+from spdz import ChannelError, MacCheckFailed, OutOfStep, PeerAborted, TapeInUse, TapeMismatch, dot
 from spdz.channels import FrameKind, memory_pair
 from spdz.plans import KEPT, Plans, constants
 from spdz.tape import Tape
@@ -38,7 +38,7 @@ def in_a_fork(work):
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-@pytest.mark.parametrize("end", ["runs", "raises", "exits", "closes"])
+@pytest.mark.parametrize("end", ["runs", "raises", "fails a check", "exits", "closes"])
 def test_a_fork_that_leaves_a_session_touches_neither_tape_nor_connection(tmp_path, end):
     paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
 
@@ -48,6 +48,8 @@ def test_a_fork_that_leaves_a_session_touches_neither_tape_nor_connection(tmp_pa
                 session.run(S10, OWN[0])
             elif end == "raises":
                 raise RuntimeError("an error of the child's own")
+            elif end == "fails a check":
+                raise MacCheckFailed
             elif end == "exits":
                 raise SystemExit
 
@@ -57,7 +59,8 @@ def test_a_fork_that_leaves_a_session_touches_neither_tape_nor_connection(tmp_pa
             session._channel._send_last = lambda *frame: os.abort()
             before = paths[0].read_bytes()
             said = in_a_fork(lambda: leave(session))
-            assert said == {"runs": "TapeInUse", "raises": "RuntimeError", "exits": "SystemExit"}.get(end, "")
+            named = {"runs": "TapeInUse", "raises": "RuntimeError", "fails a check": "MacCheckFailed"}
+            assert said == (named | {"exits": "SystemExit", "closes": ""})[end]
             assert paths[0].read_bytes() == before
         return first, session.run(S10, OWN[session.party]).value, session.remaining
 
