@@ -18,7 +18,7 @@ from dealer.tapes import deal_tapes
 from spdz.channels import Channel
 from spdz.channels.tcp import connect, listen
 from spdz.clear import Clear
-from spdz.command import keep_large_arrays_on_the_heap
+from spdz.command import tune_process
 from spdz.driver import run_channel
 from spdz.mac_check import drive
 from spdz.program import Program, declare, quantise, run
@@ -106,7 +106,7 @@ def _run_both(work: Callable[[int, Task, Any], None], task: Task) -> tuple[Measu
 
 
 def _set_up(index: int) -> None:
-    keep_large_arrays_on_the_heap()
+    tune_process()
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[index % len(cores)]})

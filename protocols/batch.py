@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from protocols.batching import jobs_together
 from protocols.catalog import Purpose
-from spdz.errors import TapeExhausted
+from spdz.errors import OutOfStep, TapeExhausted
 from spdz.meter import measure
 from spdz.program import Program
 from spdz.session import Session
@@ -53,7 +53,7 @@ class Matches:
         decisions: (own, peer's) array: booleans, or scores where the tapes reveal scores.
         decided: The same shape: which of them have been decided. All, unless the matching was broken off.
         stats: This party's cost, with what was run again after a broken connection.
-        jobs: Jobs used.
+        jobs: Jobs used, with those that were lost with a connection.
         batch: Number of the batch.
     """
 
@@ -73,12 +73,24 @@ class Matches:
         """Whether every pair has been decided."""
         return bool(self.decided.all())
 
+    @property
+    def blocks(self) -> list[tuple[range, range]]:
+        """Which pairs have been decided, as few rectangles: (own positions, the peer's positions)."""
+        found, start = [], 0
+        changes = np.flatnonzero((self.decided[1:] != self.decided[:-1]).any(axis=1)) + 1
+        for stop in [*changes.tolist(), len(self.decided)]:
+            edges = np.flatnonzero(np.diff(self.decided[start].astype(np.int8), prepend=0, append=0)).tolist()
+            rows = range(start, stop)
+            found += [(rows, range(*pair)) for pair in zip(edges[::2], edges[1::2], strict=True)]
+            start = stop
+        return found
+
 
 class Batch:
     """A batch of own descriptors and what is known of its comparison with the peer's.
 
     Args:
-        number: Its number, the same on both sides.
+        number: Its number, the same on both sides (also an attribute).
         own: Own descriptors, shape (n, N); n may be 0.
         purpose: What the tapes were dealt for.
         party: 0 or 1.
@@ -120,23 +132,32 @@ class Batch:
             done: Tiles that both sides have decided; 0 unless both have met this very batch before.
             jobs_left: On the tapes.
 
+        A robot that was restarted brings the same batch under another token. All tiles are run again for it,
+        and what was decided here stays.
+
         Raises:
+            OutOfStep: if something has been decided against another number of descriptors.
             TapeExhausted: if the tapes cannot finish the batch; nothing has changed. Both find the same.
                 It also bounds what a peer's number makes this side allocate.
         """
-        known = token == self.met and count == self._decided.shape[1]
+        before = self._decided.shape[1]
+        if count != before and self._decided.any():
+            raise OutOfStep(
+                f"the peer's batch {self.number} had {before} descriptors, and now it has {count}: a robot "
+                "that was restarted goes on with the same batch"
+            )
         first, second = self._cover(count)
-        needed = first * second - (min(self.done, done) if known else 0)
+        needed = first * second - (min(self.done, done) if token == self.met else 0)
         if needed > jobs_left:
             raise TapeExhausted(
-                f"{len(self._own)} x {count} descriptors need {needed} jobs of {self._purpose.pairs} "
-                f"comparisons, and {jobs_left} are left; deal more with `python -m spdz.dealer` (a larger "
-                "--count, or --tile for fewer bytes)"
+                f"{len(self._own)} x {count} descriptors need {needed} job{'s' * (needed != 1)} of "
+                f"{self._purpose.pairs} comparisons, and {jobs_left} are left; deal more with "
+                "`python -m spdz.dealer` (a larger --count, or --tile for fewer bytes)"
             )
-        if not known:
-            self.met = token
+        if count != before:
             self._lay_out(count)
-        self.done = min(self.done, done)
+        self.done = min(self.done, done) if token == self.met else 0
+        self.met = token
 
     def run(
         self,
@@ -160,9 +181,12 @@ class Batch:
         shape = session.shapes[self._party]
         while self.done < self.tiles:
             places = [self._place(k) for k in range(self.done, min(self.done + together, self.tiles))]
-            result = session.run_many(program, [self._rows(i, tile[0]).reshape(shape) for i, _ in places])
+            left = session.remaining
+            try:
+                result = session.run_many(program, [self._rows(i, tile[0]).reshape(shape) for i, _ in places])
+            finally:
+                self._jobs += left - session.remaining
             self._stats.add(result.stats)
-            self._jobs += len(places)
             for (i, j), value in zip(places, result.value, strict=True):
                 rows = range(i * tile[0], min((i + 1) * tile[0], len(self._own)))
                 columns = range(j * tile[1], min((j + 1) * tile[1], self._decided.shape[1]))
@@ -174,7 +198,7 @@ class Batch:
             yield self.done
 
     def _lay_out(self, count: int) -> None:
-        """Forget what was decided against another batch of the peer's, and cover all pairs with tiles."""
+        """Cover all pairs with tiles; nothing is decided."""
         self._blocks, self.done = self._cover(count), 0
         kind = np.bool_ if self._purpose.reveal == "bit" else np.float64
         self._table = np.zeros((len(self._own), count), kind)

@@ -97,7 +97,16 @@ class Purpose:
 
     @classmethod
     def from_json(cls, header: Mapping[str, Any]) -> Purpose:
-        """Read a tape's header back."""
+        """Read a tape's header back.
+
+        Raises:
+            ValueError: if the tape was dealt for something else.
+        """
+        if not {"score", "dim", "reveal", "tile", "max_norm"} <= set(header):
+            raise ValueError(
+                "these tapes were dealt for a program of your own, not for one of the ten scores: run it "
+                "with spdz.open_session(...).run(program, data), as docs/how-to.md has it"
+            )
         rows, columns = header["tile"]
         return cls(
             score=str(header["score"]),

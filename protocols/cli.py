@@ -17,7 +17,7 @@ from protocols.catalog import Purpose, threshold_warning
 from protocols.descriptors import load_descriptors
 from protocols.matcher import Matcher
 from spdz.command import say_error
-from spdz.errors import SpdzError
+from spdz.errors import SpdzError, TapeDestroyed, TapeExhausted, TapeInUse
 from spdz.progress import progress_bar
 
 _EPILOG = """\
@@ -86,13 +86,17 @@ def run_match(options: argparse.Namespace) -> int:
             if matcher.rolled_back:
                 _say("note: this tape is an older copy of itself; its used part is skipped")
             matcher.check(descriptors)
+            if len(descriptors) and not matcher.remaining:
+                raise TapeExhausted(
+                    f"every job of {options.tape} has been used; deal more: {matcher.header.dealer_command}"
+                )
             if warning := threshold_warning(Purpose.from_json(matcher.header.program), options.threshold):
                 _say(f"warning: {warning}")
             peer = matcher.header.peer
             where = (
                 f"listening on {options.listen} for" if options.listen else f"calling {options.connect}, for"
             )
-            _say(f"{where} {peer}, up to {options.wait:g} s", options.quiet)
+            _say(f"{where} {peer}, up to {options.wait:g} s ({matcher.rule})", options.quiet)
             with closing(matcher):
                 matcher.connect()
                 started = time.perf_counter()
@@ -106,7 +110,8 @@ def run_match(options: argparse.Namespace) -> int:
         _print_failure(options, matcher, error)
         if isinstance(error, KeyboardInterrupt):
             raise
-        return 1 if isinstance(error, SpdzError) else 2
+        unusable = matcher is None and not isinstance(error, (TapeInUse, TapeDestroyed))
+        return 1 if isinstance(error, SpdzError) and not unusable else 2
     return 0
 
 
@@ -121,6 +126,11 @@ def _print_failure(options: argparse.Namespace, matcher: Matcher | None, error: 
     if not isinstance(error, KeyboardInterrupt) or options.json:
         text = message if options.json else f"{kind}: {message}"
         say_error("python -m spdz match", kind, text, as_json=options.json)
+
+
+def _span(positions: range) -> str:
+    last = positions.stop - 1
+    return f"{positions.start}" if positions.start == last else f"{positions.start} to {last}"
 
 
 def _say(sentence: str, quiet: bool = False) -> None:
@@ -146,6 +156,9 @@ def _print(
             "threshold": options.threshold,
             "shape": [own, theirs],
             "decided": matches.pairs,
+            "decided_blocks": [
+                [rows.start, rows.stop, columns.start, columns.stop] for rows, columns in matches.blocks
+            ],
             "jobs": matches.jobs,
             "jobs_left": matcher.remaining,
             **matches.stats.as_dict(),
@@ -161,7 +174,7 @@ def _print(
     if bits:
         for i, j in found:
             print(f"match: {header.name} {i}  {header.peer} {j}")
-        print(f"{len(found)} of {own} x {theirs} pairs match ({purpose.score}, {header.security})")
+        print(f"{len(found)} of {own} x {theirs} pairs match ({matcher.rule}, {header.security})")
     else:
         for i, row in enumerate(matches.decisions):
             known = zip(row, matches.decided[i], strict=True)
@@ -169,7 +182,9 @@ def _print(
                 f"{header.name} {i}: " + " ".join(f"{score:.6g}" if there else "?" for score, there in known)
             )
     if not matches.complete:
-        print(f"only {matches.pairs} of {own * theirs} pairs were compared: broken off")
+        print(f"only {matches.pairs} of {own * theirs} pairs were compared: broken off. These were:")
+        for rows, columns in matches.blocks:
+            print(f"  {header.name} {_span(rows)} with {header.peer} {_span(columns)}")
     spent = f"{more['ms']:.1f} ms, " if "ms" in more else ""
     print(
         f"{spent}{matches.stats.bytes_sent / 1e6:.3f} MB sent, {matches.stats.rounds} rounds; "

@@ -31,6 +31,7 @@ from spdz.connect import check_where, open_session
 from spdz.errors import ChannelError, OutOfStep, SpdzError, TapeExhausted
 from spdz.session import Session
 from spdz.tape import Tape, TapeHeader
+from spdz.turn import Turn
 
 Self = TypeVar("Self", bound="Matcher")
 
@@ -61,7 +62,8 @@ class Matcher:
             since the peer may notice a broken line only then.
         timeout: Seconds that one round may take.
         state_dir: Where the second record of what was used is kept (default: the user's state folder).
-        first: Number of the first batch; a robot that was restarted goes on where the other one is.
+        first: Number of the first batch; None for the one at which the peer is, for a robot that was
+            restarted.
         on_block: Called with every block of pairs as soon as it is decided.
         on_event: Called with a sentence whenever the connection is lost or made again.
         progress: Called with tiles done and tiles in all of the current batch.
@@ -83,12 +85,12 @@ class Matcher:
         wait: float = 60.0,
         timeout: float = 30.0,
         state_dir: str | Path | None = None,
-        first: int = 0,
+        first: int | None = 0,
         on_block: Callable[[Block], None] = lambda block: None,
         on_event: Callable[[str], None] = lambda sentence: None,
         progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> None:
-        if first < 0:
+        if first is not None and first < 0:
             raise ValueError(f"the first batch's number must not be negative, not {first}")
         check_where(listen, connect, wait, timeout)
         self._where: dict[str, Any] = {
@@ -108,10 +110,11 @@ class Matcher:
         self._together = tiles_together(self._purpose, self._program, self._header.security)
         self._on_block, self._on_event, self._progress = on_block, on_event, progress
         self._session: Session | None = None
-        self._number = first
+        self._number: int | None = first
         self._current: Batch | None = None
         self._previous: Batch | None = None
         self._progressed = False
+        self._turn = Turn("matcher")
 
     def __repr__(self) -> str:
         return f"<matcher of {self._header.name} with {self._header.peer}: batch {self._number}>"
@@ -134,13 +137,18 @@ class Matcher:
         return self._header
 
     @property
+    def rule(self) -> str:
+        """What is decided, for people: ``S10 >= 0.8``."""
+        return str(self._program).partition(" (")[0]
+
+    @property
     def remaining(self) -> int:
         """Jobs left on the tape."""
         return self._remaining if self._session is None else self._session.remaining
 
     @property
-    def number(self) -> int:
-        """Number of the next batch."""
+    def number(self) -> int | None:
+        """Number of the next batch; None until the peer has said it, where it was left to the peer."""
         return self._number
 
     @property
@@ -154,7 +162,8 @@ class Matcher:
 
     def connect(self) -> None:
         """Reach the peer now, within ``wait`` seconds, instead of with the first batch."""
-        self._see_through(self._wait, lambda session: None)
+        with self._turn:
+            self._see_through(self._wait, lambda session: None)
 
     def match(self, descriptors: npt.ArrayLike) -> Matches:
         """Compare the next batch with the peer's of the same number, however often the connection breaks.
@@ -174,11 +183,16 @@ class Matcher:
                 been decided, checked and final.
         """
         own = check_descriptors(self._purpose, self._program, descriptors)
-        self._current = Batch(self._number, own, self._purpose, self._header.party)
-        return self.resume()
+        with self._turn:
+            self._current = Batch(self._number or 0, own, self._purpose, self._header.party)
+            return self._finished()
 
     def resume(self) -> Matches:
         """Go on with the batch that an error has broken off; as :meth:`match`."""
+        with self._turn:
+            return self._finished()
+
+    def _finished(self) -> Matches:
         if (batch := self._current) is None:
             raise ValueError("no batch was broken off: call match() with the next one")
         try:
@@ -187,7 +201,7 @@ class Matcher:
             error.partial = batch.matches
             raise
         self._previous, self._current = batch, None
-        self._number += 1
+        self._number = batch.number + 1
         return batch.matches
 
     def finish(self) -> None:
@@ -199,14 +213,15 @@ class Matcher:
         Raises:
             SpdzError: if the peer cheats.
         """
-        if self._previous is None:
-            return
-        try:
-            self._see_through(min(self._wait, _FAREWELL), self._go_on)
-        except (ChannelError, OutOfStep, TapeExhausted) as error:
-            self._on_event(f"ended without {self._header.peer}: {error}")
-        finally:
-            self._previous = None
+        with self._turn:
+            if self._previous is None:
+                return
+            try:
+                self._see_through(min(self._wait, _FAREWELL), self._go_on)
+            except (ChannelError, OutOfStep, TapeExhausted) as error:
+                self._on_event(f"ended without {self._header.peer}: {error}")
+            finally:
+                self._previous = None
 
     def close(self) -> None:
         """Hang up; safe to call twice."""
@@ -219,19 +234,26 @@ class Matcher:
         """Do the work, over as many connections as it takes, while something goes on within ``wait``."""
         deadline, pause = time.monotonic() + wait, _FIRST_PAUSE
         while True:
-            self._progressed = False
+            self._progressed, reached = False, self._session is not None
             try:
-                work(self._connected(max(deadline - time.monotonic(), _FIRST_PAUSE)))
+                session = self._connected(max(deadline - time.monotonic(), _FIRST_PAUSE))
+                reached = True
+                work(session)
                 return
-            except ChannelError as error:
+            except (ChannelError, OutOfStep) as error:
                 self.close()
                 now = time.monotonic()
                 if self._progressed:
                     deadline, pause = now + wait, _FIRST_PAUSE
-                if not error.passing or now + pause >= deadline:
+                # What could not be reached was looked for until the deadline, or nearly.
+                if (
+                    not _passing(error)
+                    or now + max(pause, 0.0 if reached else min(1.0, wait / 2)) >= deadline
+                ):
                     raise
+                what = "lost" if reached else "could not reach"
                 self._on_event(
-                    f"lost {self._header.peer} ({error}); looking for it, {deadline - now:.0f} s more"
+                    f"{what} {self._header.peer} ({error}); trying again for up to {deadline - now:.3g} s"
                 )
             except BaseException:
                 self.close()
@@ -247,16 +269,19 @@ class Matcher:
 
     def _go_on(self, session: Session) -> None:
         """Until both sides are through with the current batch, or with all if there is none."""
+        served = False
         while True:
             own = Position(self._number, Offer.of(self._current), Offer.of(self._previous))
             peer = Position.read(session.exchange_note(own.as_json()))
             agreed = meeting(own, peer, self._header.peer)
+            self._number = own.beside(peer)
             if agreed is None:
                 return
             number, offer, done = agreed
             batch = self._current if number == self._number else self._previous
-            if batch is None:  # meeting() never gives a batch that this side does not offer
-                raise OutOfStep(f"there is no batch {number} here")
+            if batch is None or (served and batch is not self._current):
+                raise OutOfStep(f"{self._header.peer} stays at batch {number} although it is through with it")
+            batch.number, served = number, True
             batch.meet(offer.token, offer.descriptors, done, session.remaining)
             for tiles in batch.run(session, self._program, self._together, self._on_block):
                 self._progressed = True
@@ -264,3 +289,10 @@ class Matcher:
                     self._progress(tiles, batch.tiles)
             if batch is self._current:
                 return
+
+
+def _passing(error: ChannelError | OutOfStep) -> bool:
+    """Whether the peer may be back: also one that was restarted, and has been told where this side is."""
+    if isinstance(error, OutOfStep):
+        return error.here is not None and error.there is not None and error.here > error.there
+    return error.passing

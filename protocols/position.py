@@ -8,7 +8,7 @@ one side only.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from protocols.batch import Batch
@@ -46,14 +46,14 @@ class Position:
     """Where one side stands.
 
     Attributes:
-        number: Number of the current batch.
+        number: Number of the current batch; None for a robot that goes on where the other one is.
         current: What there is of it; None if there will be no further batch.
         previous: What there is of the one before; None if it is not known any more.
     """
 
-    number: int
+    number: int | None
     current: Offer | None
-    previous: Offer | None
+    previous: Offer | None = None
 
     def as_json(self) -> dict[str, Json]:
         """For a note to the peer."""
@@ -71,18 +71,24 @@ class Position:
             raise OutOfStep(
                 "the peer uses match(), this side a Matcher (as the command does): use one of them on both"
             )
-        number = note.get("number")
-        if (
-            set(note) != {"number", "current", "previous"}
-            or type(number) is not int
-            or not 0 <= number < 1 << 63
-        ):
+        number = note.get("number", -1)
+        if set(note) != {"number", "current", "previous"} or not _is_number(number):
             raise ProtocolViolation("the peer's position among its batches is malformed")
         return cls(number, _read_offer(note["current"]), _read_offer(note["previous"]))
 
     def offer(self, number: int) -> Offer | None:
         """What there is of a batch."""
+        if self.number is None:
+            return None
         return {self.number: self.current, self.number - 1: self.previous}.get(number)
+
+    def beside(self, other: Position) -> int:
+        """The number, or the other side's where this side has none yet (0 if neither has)."""
+        return next((number for number in (self.number, other.number) if number is not None), 0)
+
+
+def _is_number(number: Any) -> bool:
+    return number is None or (type(number) is int and 0 <= number < 1 << 63)
 
 
 def _read_offer(fields: Any) -> Offer | None:
@@ -113,18 +119,21 @@ def meeting(own: Position, peer: Position, name: str) -> tuple[int, Offer, int] 
     Raises:
         OutOfStep: if there is no such batch: one side has stopped, or has been restarted.
     """
-    number = min(own.number, peer.number)
-    mine, theirs = own.offer(number), peer.offer(number)
+    here, there = own.beside(peer), peer.beside(own)
+    number = min(here, there)
+    mine, theirs = replace(own, number=here).offer(number), replace(peer, number=there).offer(number)
     if mine is not None and theirs is not None:
         both_met = mine.met == theirs.token and theirs.met == mine.token
         return number, theirs, min(mine.done, theirs.done) if both_met else 0
-    if own.number == peer.number:
+    if here == there:
         if mine is None and theirs is None:
             return None
         stopped, other = (name, "this robot") if theirs is None else ("this robot", name)
         raise OutOfStep(f"{stopped} has ended after {number} batches, and {other} has a batch {number}")
-    behind, ahead = ("this robot", name) if own.number < peer.number else (name, "this robot")
+    behind, ahead = ("this robot", name) if here < there else (name, "this robot")
     raise OutOfStep(
-        f"{behind} is at batch {number} and {ahead} at batch {max(own.number, peer.number)}, and what is "
-        "between is gone: a robot that was restarted goes on with the other one's number (first=)"
+        f"{behind} is at batch {number} and {ahead} at batch {max(here, there)}, and what is between is "
+        "gone: a robot that was restarted goes on with the other one's number (first=)",
+        here=here,
+        there=there,
     )

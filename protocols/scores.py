@@ -27,6 +27,7 @@ from protocols.cosine import cosine
 from protocols.distance import difference, squared_distance
 from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, sqrt, truncate
 from spdz.fixed_point import MAX_NORM
+from spdz.plans import unchanging
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,3 +119,6 @@ S9 = Score("S9", "cossim_1sqrt", similarity=True, formula=_cossim)
 S10 = Score("S10", "dotprod", similarity=True, formula=_dotprod)
 
 SCORES: dict[str, Score] = {score.name: score for score in (S1, S2, S3, S4, S5, S6, S7, S8, S9, S10)}
+
+for _score in SCORES.values():
+    unchanging(_score.formula)

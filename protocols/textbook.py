@@ -6,6 +6,7 @@ direction instead of one. As in the paper's cost table.
 
 from protocols.scores import Score
 from spdz import Engine, Value, beaver_dot, beaver_multiply
+from spdz.plans import unchanging
 
 
 async def dot_with_vector_triple(engine: Engine, x: Value, y: Value) -> Value:
@@ -35,3 +36,6 @@ TEXTBOOK = {
     "S10": Score("S10", "dotprod, vector triple", similarity=True, formula=dot_with_vector_triple),
 }
 """The textbook protocol of each score that has one, by the score's name."""
+
+for _score in TEXTBOOK.values():
+    unchanging(_score.formula)

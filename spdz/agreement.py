@@ -10,7 +10,7 @@ import hashlib
 from typing import Any
 
 from spdz.channels import Channel, FrameKind
-from spdz.errors import OutOfStep, ProtocolViolation, TapeMismatch
+from spdz.errors import MacCheckFailed, OutOfStep, ProtocolViolation, TapeMismatch
 from spdz.handshake import canonical, read_object, shown
 from spdz.mac_check import MacCheck
 from spdz.types import Json
@@ -42,6 +42,8 @@ class Agreement:
             ProtocolViolation: if it is no JSON object.
             ChannelError: if the connection fails.
         """
+        if self.mac_check is not None and self.mac_check.pending:
+            raise MacCheckFailed("openings were left unchecked before a control message; nothing was output")
         own = canonical(message)
         reply = bytes(self._channel.exchange(FrameKind.CONTROL, [own], None))
         first, second = (own, reply) if self._party == 0 else (reply, own)

@@ -43,7 +43,16 @@ class ProtocolViolation(SpdzError):
 
 
 class OutOfStep(ProtocolViolation):
-    """The peer is at another step of the session: the two sides do not make the same calls."""
+    """The peer is at another step of the session: the two sides do not make the same calls.
+
+    Attributes:
+        here: This side's number, where the steps have numbers (a batch of a matching).
+        there: The peer's.
+    """
+
+    def __init__(self, message: str = "", *, here: int | None = None, there: int | None = None) -> None:
+        super().__init__(message)
+        self.here, self.there = here, there
 
 
 class ChannelError(SpdzError):

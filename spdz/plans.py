@@ -2,18 +2,19 @@
 
 Reading a program for its plan costs about as much as running it once, so the plans of the last few are kept:
 under everything that a program is made of, and only where nothing of that can change. A frozen dataclass of
-numbers, names, plain functions and more of the same is kept; any other program (a function of the user's, an
-array among the fields) is read anew for each run, since what it adds or compares with may have changed.
+numbers, names, functions that are declared :func:`unchanging`, and more of the same is kept. Any other
+program (a function, which may read what has changed since; an array among the fields) is read anew for each
+run.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 from types import FunctionType
-from typing import Any
+from typing import Any, TypeVar
 
 from spdz.meter import Plan, measure
 from spdz.program import Program
@@ -23,6 +24,17 @@ KEPT = 16
 """Plans kept: a session uses a few thresholds in turn. One plan takes some kilobytes."""
 
 _CONSTANTS = (int, float, bool, str, bytes, type(None), Fraction)
+
+
+_MARK = "_spdz_unchanging"
+
+Formula = TypeVar("Formula", bound=Callable[..., Any])
+
+
+def unchanging(function: Formula) -> Formula:
+    """Declare that what a function computes depends on its arguments alone: it reads nothing else."""
+    setattr(function, _MARK, True)
+    return function
 
 
 class Plans:
@@ -57,7 +69,7 @@ def constants(value: Any) -> Hashable | None:
     kind = type(value)
     if kind in _CONSTANTS:
         return kind, repr(value)
-    if kind is FunctionType and value.__closure__ is None and not value.__defaults__:
+    if kind is FunctionType and getattr(value, _MARK, False):
         return kind, value
     if kind is tuple:
         parts = [constants(part) for part in value]

@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from threading import Lock
 from types import TracebackType
 from typing import Any
 
@@ -32,6 +31,7 @@ from spdz.errors import (
     MacCheckFailed,
     PeerAborted,
     TapeError,
+    TapeExhausted,
     TapeInUse,
     TapeMismatch,
 )
@@ -43,6 +43,7 @@ from spdz.plans import Plans
 from spdz.program import Program, declare, quantise, run
 from spdz.stats import Stats
 from spdz.tape import Tape, TapeHeader
+from spdz.turn import Turn
 from spdz.types import IntArray, Json, Shape
 from spdz.wire import ELEMENT_BYTES
 
@@ -76,17 +77,18 @@ class Session:
         self._tape, self._channel = tape, channel
         self._dead: str | None = None
         self._left = tape.remaining
-        self._reserved: deque[JobStream] = deque()
+        self._reserved: deque[tuple[int, JobStream]] = deque()
         self._plans = Plans(self.shapes, tape.header.security)
         self._process = os.getpid()
-        self._turn = _Turn()
+        self._turn = Turn("session")
         with self._guard():
             own = Hello.of(tape)
             peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
             compare(own, peer)
             session = session_id(own, peer)
             tape.resume(peer.cursor)
-            channel.bind(int.from_bytes(session[:4], "little"))
+            self._tag = int.from_bytes(session[:4], "little")
+            channel.bind(self._tag)
             self._agreement = Agreement(channel, self.party, session, self._alpha)
 
     def __repr__(self) -> str:
@@ -144,7 +146,13 @@ class Session:
         """
         self._require_alive()
         with self._turn:
-            self._reserve(jobs)
+            try:
+                self._reserve(jobs)
+            except (TapeExhausted, ValueError):
+                raise
+            except BaseException as error:  # some jobs may be used and not kept here, unlike at the peer
+                self._die(error)
+                raise
 
     def run(self, program: Program, data: npt.ArrayLike) -> Result:
         """Run one job on this party's input.
@@ -179,8 +187,10 @@ class Session:
             if len(inputs) > len(self._reserved):
                 self._reserve(len(inputs) - len(self._reserved))
             jobs = [self._reserved.popleft() for _ in inputs]
+            if jobs:  # frames of other jobs than the peer's are refused
+                self._channel.bind((self._tag + jobs[0][0]) & 0xFFFFFFFF)
             stats = Stats()
-            lanes = [self._lane(program, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)]
+            lanes = [self._lane(program, job, raw, stats) for (_, job), raw in zip(jobs, inputs, strict=True)]
             values = run_channel(drive(_all(lanes), self._agreement.mac_check), self._channel, stats)
         return Result(values, stats)
 
@@ -214,8 +224,9 @@ class Session:
 
     def _reserve(self, jobs: int) -> None:
         pad_bytes = self.header.pad_bytes
+        reserved = self._tape.reserve(jobs)
         self._reserved.extend(
-            JobStream(job.key, pad_bytes, job.correction) for job in self._tape.reserve(jobs)
+            [(job.index, JobStream(job.key, pad_bytes, job.correction)) for job in reserved]
         )
 
     def _lane(self, program: Program, job: JobStream, raw: IntArray, stats: Stats) -> Any:
@@ -228,10 +239,13 @@ class Session:
     def close(self) -> None:
         """Close connection and tape; safe to call twice. In a fork nothing is written anywhere."""
         if self._dead is None:
-            self._left = self._tape.remaining
             self._dead = "closed"
-        self._channel.close()
-        self._tape.close()
+            with suppress(TapeError):
+                self._left = self._tape.remaining
+        try:
+            self._channel.close()
+        finally:
+            self._tape.close()
 
     def _require_alive(self) -> None:
         if os.getpid() != self._process:
@@ -263,23 +277,6 @@ class Session:
             if not isinstance(error, PeerAborted):
                 self._channel.abort(abort_reason(error))
             self.close()
-
-
-class _Turn:
-    """One thread at a time; a second one is told, and changes nothing."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-
-    def __enter__(self) -> None:
-        if not self._lock.acquire(blocking=False):
-            raise TapeInUse(
-                "another thread is using this session: it serves one thread at a time, since both robots "
-                "must make the same calls in the same order"
-            )
-
-    def __exit__(self, *error: object) -> None:
-        self._lock.release()
 
 
 class _Guard:

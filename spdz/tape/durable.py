@@ -120,3 +120,8 @@ def is_locked(descriptor: int) -> bool:
         return True
     fcntl.flock(descriptor, fcntl.LOCK_UN)
     return False
+
+
+def unlock(descriptor: int) -> None:
+    """Give a lock back for all who have inherited this open file."""
+    fcntl.flock(descriptor, fcntl.LOCK_UN)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spdz.errors import TapeDamaged, TapeError, TapeInUse
-from spdz.tape.durable import PRIVATE_FILE, make_private_folder, replace_file, try_lock
+from spdz.tape.durable import PRIVATE_FILE, make_private_folder, replace_file, try_lock, unlock
 
 _LONGEST = 1024  # bytes read of a mark file: a whole one has at most 240
 
@@ -103,8 +103,12 @@ class HighWater:
         except OSError as error:
             raise _unusable(self._path, error) from error
 
+    def unlock(self) -> None:
+        """Give the lock back for forks as well, which hold the same open file."""
+        unlock(self._lock)
+
     def close(self) -> None:
-        """Give the lock back."""
+        """Close the lock's file."""
         os.close(self._lock)
 
 

@@ -30,7 +30,7 @@ from types import TracebackType
 from spdz import prf
 from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeExhausted, TapeInUse, TapeMismatch
 from spdz.tape.corrections import read_corrections
-from spdz.tape.durable import try_lock
+from spdz.tape.durable import try_lock, unlock
 from spdz.tape.format import Layout, TapeHeader, read_header
 from spdz.tape.high_water import HighWater, Mark, default_state_dir
 from spdz.tape.state import State, StateSlots
@@ -211,9 +211,14 @@ class Tape:
                 self._destroy(0 if self._state is None else self._state.cursor)
 
     def close(self) -> None:
-        """Unlock the tape. A second call does nothing."""
-        with self._lock if os.getpid() == self._process else nullcontext():
+        """Unlock the tape. A second call does nothing; in a fork the lock stays the parent's."""
+        own = os.getpid() == self._process
+        with self._lock if own else nullcontext():
             self._state = None
+            if own and not self._file.closed:
+                # A fork that lives on holds the same open file: closing ours would not unlock it (flock(2)).
+                unlock(self._file.fileno())
+                self._mark.unlock()
             self._resources.close()
 
     def __repr__(self) -> str:
