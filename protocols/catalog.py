@@ -80,6 +80,14 @@ class Purpose:
             raise ValueError("these tapes reveal only the candidate bit: give a threshold")
         return is_candidate(score, threshold)
 
+    def rule(self, threshold: float | None) -> str:
+        """What is decided, for people."""
+        if threshold is None:
+            return f"{self.score} itself"
+        sign = ">=" if SCORES[self.score].similarity else "<="
+        root = f", a distance of {sqrt(threshold):.4g}" if self.hint and threshold >= 0 else ""
+        return f"{self.score} {sign} {threshold:g}{root}"
+
     @property
     def dealt_program(self) -> Program:
         """The program as the dealer reads it (a threshold changes nothing that is dealt)."""

@@ -101,7 +101,7 @@ class Matcher:
             "timeout": timeout,
             "state_dir": state_dir,
         }
-        self._tape, self._wait = tape, wait
+        self._tape, self._wait, self._threshold = tape, wait, threshold
         with Tape.open(tape, state_dir=None if state_dir is None else Path(state_dir)) as opened:
             self._header, self._remaining = opened.header, opened.remaining
             self.rolled_back = opened.rolled_back
@@ -139,7 +139,7 @@ class Matcher:
     @property
     def rule(self) -> str:
         """What is decided, for people: ``S10 >= 0.8``."""
-        return str(self._program).partition(" (")[0]
+        return self._purpose.rule(self._threshold)
 
     @property
     def remaining(self) -> int:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from bench.pair import free_port
+from dealer.tapes import deal_tapes
+from protocols.scores import S10
 
 DIM = 8
 
@@ -75,6 +77,24 @@ def test_json_is_one_object_with_the_costs(mission):
     for answer in answers:
         assert answer["rounds"] == 5 and answer["security"] == "malicious"
         assert answer["correlations"]["comparison"] == 9 and answer["jobs_left"] == 3
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_tapes_of_a_program_of_ones_own_are_no_traceback(tmp_path, mission, as_json):
+    paths = tmp_path / "a.tape", tmp_path / "b.tape"
+    deal_tapes(paths, ("alice", "bob"), S10, ((DIM,), (DIM,)), 1)
+    words = ["spdz", "match", "--tape", str(paths[0]), "--listen", "127.0.0.1:1", "--threshold", "0.8"]
+    done = command(*words, "--descriptors", f"{mission}/alice.npy", *["--json"] * as_json)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    said = json.loads(done.stdout)["message"] if as_json else done.stderr
+    assert "program of your own" in said
+
+
+def test_a_tape_that_is_used_up_is_told_before_the_peer_is_looked_for(mission):
+    np.save(mission / "bob.npy", np.eye(DIM)[1:5])  # 3 x 4 pairs: all twelve jobs
+    match_both(mission)
+    (status, _, err), _ = match_both(mission, wait="60")
+    assert status == 1 and "every job of" in err and "spdz.dealer --agents alice bob" in err
 
 
 def test_the_dealer_prints_comparisons_and_megabytes(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 from session_helpers import deal, state_dirs
@@ -9,7 +10,7 @@ from session_helpers import deal, state_dirs
 from protocols.scores import S10
 from spdz import ProtocolViolation, Session, TapeMismatch
 from spdz.channels import FrameKind, memory_pair
-from spdz.handshake import Hello
+from spdz.handshake import Hello, session_id
 from spdz.tape import Tape
 
 
@@ -78,3 +79,24 @@ def test_a_peer_that_claims_an_absurd_cursor_is_refused(robots, claim):
 def test_what_a_peer_greets_with_cannot_deface_an_error(robots, change):
     error = refusal(robots, json.dumps({**honest_greeting(robots), **change}).encode())
     assert len(error) < 1000 and error.isprintable()
+
+
+def test_the_session_id_depends_on_everything_that_either_side_said(robots):
+    paths, states = robots
+    with (
+        Tape.open(paths[0], state_dir=states[0]) as first,
+        Tape.open(paths[1], state_dir=states[1]) as second,
+    ):
+        greetings = Hello.of(first), Hello.of(second)
+    known = {session_id(*greetings)}
+    assert session_id(*greetings[::-1]) in known
+    for side in (0, 1):
+        for name in Hello.__slots__:
+            old = getattr(greetings[side], name)
+            new = {int: 7, str: "another", tuple: ("a", "b"), dict: {"x": 1}}[type(old)]
+            if name == "party":
+                continue  # which says whose greeting comes first
+            changed = [*greetings]
+            changed[side] = replace(greetings[side], **{name: new})
+            known.add(session_id(*changed))
+    assert len(known) == 1 + 2 * (len(Hello.__slots__) - 1)

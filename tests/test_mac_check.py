@@ -102,10 +102,12 @@ def test_a_message_of_another_session_fails():
         pair()[0].verify(pair(b"another")[1].message())
 
 
-def test_another_transcript_fails():
+@pytest.mark.parametrize(("sent", "got"), [(b"c", b"xb"), (b"x", b"ab"), (b"ab", b"c")])
+def test_another_transcript_fails(sent, got):
+    """Whichever party's message differs, or if they are mixed up."""
     checks = pair()
     checks[0].absorb([b"ab"], b"c")
-    checks[1].absorb([b"c"], b"xb")
+    checks[1].absorb([sent], got)
     with pytest.raises(MacCheckFailed):
         checks[0].verify(checks[1].message())
 

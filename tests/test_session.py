@@ -321,7 +321,8 @@ def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, monkeypatch):
     assert run_pair(paths, state_dirs(tmp_path), work, channels=ends) == [True, True]
 
 
-def test_a_note_that_was_changed_on_the_line_fails_the_next_check(tmp_path):
+@pytest.mark.parametrize("runs", [0, 2])
+def test_a_note_that_was_changed_on_the_line_fails_the_next_check(tmp_path, runs):
     paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
     first, second = memory_pair(timeout=5.0)
     honest = second.exchange
@@ -333,12 +334,26 @@ def test_a_note_that_was_changed_on_the_line_fails_the_next_check(tmp_path):
     second.exchange = exchange
 
     def work(session):
+        for _ in range(runs):
+            session.run(S10, OWN[session.party])
         session.exchange_note({"descriptors": 2})
         return session.run(S10, OWN[session.party])
 
     results = run_pair(paths, states, work, channels=(first, second))
     assert any(isinstance(error, MacCheckFailed) for error in results)
     assert all(isinstance(error, SpdzError) for error in results)
+
+
+def test_a_control_message_waits_for_the_check_of_what_was_opened(tmp_path):
+    paths = deal(tmp_path / "m", S10, SHAPES, 3)
+
+    def work(session):
+        session.run(S10, OWN[session.party])
+        session._agreement.mac_check.record(np.zeros((1, 2), np.uint64), np.zeros((1, 2), np.uint64))
+        session.exchange_note({})
+
+    for error in run_pair(paths, state_dirs(tmp_path), work):
+        assert isinstance(error, (MacCheckFailed, ChannelError))
 
 
 @pytest.mark.parametrize("security", ["malicious", "semi-honest"])

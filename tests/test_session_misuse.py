@@ -3,16 +3,27 @@
 import json
 import os
 from dataclasses import dataclass, field
-from threading import Event, Thread
+from threading import Event, Thread, get_ident
 
 import numpy as np
 import pytest
 from session_helpers import deal, run_pair, state_dirs
 
-from protocols import is_candidate
+from protocols import Score, is_candidate
 from protocols.scores import S10
-from spdz import ChannelError, MacCheckFailed, OutOfStep, PeerAborted, TapeInUse, TapeMismatch, dot
+from spdz import (
+    ChannelClosed,
+    ChannelError,
+    MacCheckFailed,
+    OutOfStep,
+    PeerAborted,
+    ProtocolViolation,
+    TapeInUse,
+    TapeMismatch,
+    dot,
+)
 from spdz.channels import FrameKind, memory_pair
+from spdz.party import JobStream
 from spdz.plans import KEPT, Plans, constants
 from spdz.tape import Tape
 
@@ -35,6 +46,64 @@ def in_a_fork(work):
         said = pipe.read()
     os.waitpid(child, 0)
     return said
+
+
+@pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt])
+def test_a_session_whose_reserving_broke_off_is_dead(tmp_path, monkeypatch, error):
+    """Else the two robots would run different jobs: wrong numbers where nothing is checked."""
+    paths = deal(tmp_path / "m", S10, SHAPES, 9, "semi-honest")
+
+    def work(session):
+        if session.party == 0:
+            made, make, own = [], JobStream.__init__, get_ident()
+
+            def broken(self, *given):
+                made.extend([self] * (get_ident() == own))
+                if len(made) == 3:
+                    raise error
+                make(self, *given)
+
+            with monkeypatch.context() as patch, pytest.raises(error):
+                patch.setattr(JobStream, "__init__", broken)
+                session.reserve(4)
+            with pytest.raises(ChannelClosed):
+                session.run(S10, OWN[0])
+            return session.remaining
+        session.reserve(4)
+        with pytest.raises(ChannelError):
+            session.run(S10, OWN[1])
+        return session.remaining
+
+    assert run_pair(paths, state_dirs(tmp_path), work) == [5, 5]
+
+
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_robots_at_different_jobs_find_out_before_anything_is_opened(tmp_path, security):
+    paths = deal(tmp_path / "m", S10, SHAPES, 9, security)
+
+    def work(session):
+        session.run(S10, OWN[session.party])
+        session.reserve(2)
+        if session.party == 0:
+            session._reserved.popleft()
+        return session.run(S10, OWN[session.party])
+
+    for error in run_pair(paths, state_dirs(tmp_path), work):
+        assert isinstance(error, (ProtocolViolation, PeerAborted))
+
+
+def test_a_session_can_be_closed_after_its_tape_failed(tmp_path):
+    paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
+
+    def work(session):
+        session.run(S10, OWN[session.party])
+        session._tape._state = None  # as after an error of the disk
+        session.close()
+        session.close()
+        return repr(session)
+
+    assert all("dead (closed)" in text for text in run_pair(paths, states, work))
+    Tape.open(paths[0], state_dir=states[0]).close()
 
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
@@ -244,6 +313,33 @@ def test_what_a_program_is_made_of_tells_apart_whatever_differs():
     assert constants(S10.formula) is not None
 
 
+def test_a_number_that_a_users_score_reads_may_change(tmp_path):
+    """Whatever a function reads (a global, a default) is read anew: only a declared function is kept."""
+    paths = deal(tmp_path / "m", scaled_score(), SHAPES, 4)
+
+    def work(session):
+        first = session.run(scaled_score(), [0.5] * 4).value
+        if session.party == 0:
+            FACTOR[0] = 3
+        told = session.run(scaled_score(), [0.5] * 4)
+        return first, told
+
+    FACTOR[0] = 2
+    for error in run_pair(paths, state_dirs(tmp_path), work):
+        assert isinstance(error, (TapeMismatch, PeerAborted, OutOfStep))
+
+
+FACTOR = [2]
+
+
+async def scaled(engine, x, y):
+    return dot(x * FACTOR[0], y)
+
+
+def scaled_score():
+    return Score("W", "scaled", similarity=True, formula=scaled, max_norm=8.0)
+
+
 def test_a_tape_that_a_fork_closes_stays_locked_by_its_parent(tmp_path):
     paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
     with Tape.open(paths[0], state_dir=states[0]) as tape:
@@ -251,3 +347,12 @@ def test_a_tape_that_a_fork_closes_stays_locked_by_its_parent(tmp_path):
         with pytest.raises(TapeInUse):
             Tape.open(paths[0], state_dir=states[0])
         assert len(tape.reserve(1)) == 1
+
+
+def test_a_job_is_used_up_when_both_pad_and_record_are():
+    stream = JobStream(bytes(32), 16, bytes(16))
+    assert not stream.exhausted
+    stream.pad((1,))
+    assert not stream.exhausted
+    stream.correction((1,))
+    assert stream.exhausted
