@@ -43,21 +43,24 @@ class Plans:
     def __init__(self, shapes: tuple[Shape, Shape], security: Security) -> None:
         self._shapes, self._security = shapes, security
         self._kept: OrderedDict[Hashable, Plan] = OrderedDict()
+        self._last: tuple[Program | None, Plan | None] = None, None
 
     def __len__(self) -> int:
         return len(self._kept)
 
     def of(self, program: Program) -> Plan:
         """The meter's plan of a program."""
+        last, plan = self._last
+        if plan is not None and last is program:  # the same object, of which nothing can change
+            return plan
         key = constants(program) if is_dataclass(program) else None
-        if key is not None and key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        plan = measure(program, self._shapes, self._security)
-        if key is not None:
-            self._kept[key] = plan
-            if len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
+        if key is None:
+            return measure(program, self._shapes, self._security)
+        plan = self._kept.pop(key, None) or measure(program, self._shapes, self._security)
+        self._kept[key] = plan
+        if len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        self._last = program, plan
         return plan
 
 

@@ -58,9 +58,10 @@ def test_a_session_whose_reserving_broke_off_is_dead(tmp_path, monkeypatch, erro
             made, make, own = [], JobStream.__init__, get_ident()
 
             def broken(self, *given):
-                made.extend([self] * (get_ident() == own))
-                if len(made) == 3:
-                    raise error
+                if get_ident() == own:
+                    made.append(self)
+                    if len(made) == 3:
+                        raise error
                 make(self, *given)
 
             with monkeypatch.context() as patch, pytest.raises(error):
