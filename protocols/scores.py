@@ -28,6 +28,7 @@ from protocols.distance import difference, squared_distance
 from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, sqrt, truncate
 from spdz.fixed_point import MAX_NORM
 from spdz.plans import unchanging
+from spdz.program import result_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class Score:
 
     async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
         """Run the formula."""
-        return await self.formula(engine, x, y)
+        return await result_of("score", self.formula, engine, x, y)
 
     def __str__(self) -> str:
         return f"{self.name} ({self.title})"

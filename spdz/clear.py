@@ -35,13 +35,17 @@ class Clear(ClearText):
 
     def shared(self, x: Value) -> Value:
         """The same integers."""
+        if not x.masked:
+            return x
         return self.value(x.parts[0], x.frac, x.bound, is_bit=x.is_bit)
 
     def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """Add public integers."""
         return (whole(x.parts[0].astype(object) + raw),)
 
-    def value(self, raw: Any, frac: int, bound: Bound, *, is_bit: bool = False) -> Value:
-        """Wrap integers; they count as masked too, since every gate may use them."""
+    def value(
+        self, raw: Any, frac: int, bound: Bound, *, masked: bool = False, is_bit: bool = False
+    ) -> Value:
+        """Wrap integers, masked where a party's value is: a program that it refuses is refused here too."""
         integers = whole(raw)
-        return Value(self, (integers,), integers.shape, frac, bound, masked=True, is_bit=is_bit)
+        return Value(self, (integers,), integers.shape, frac, bound, masked=masked, is_bit=is_bit)

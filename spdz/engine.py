@@ -197,8 +197,10 @@ class ClearText(Engine):
     index: int
 
     @abstractmethod
-    def value(self, raw: Any, frac: int, bound: Bound, *, is_bit: bool = False) -> Value:
-        """Wrap exact raw integers."""
+    def value(
+        self, raw: Any, frac: int, bound: Bound, *, masked: bool = False, is_bit: bool = False
+    ) -> Value:
+        """Wrap exact raw integers; ``masked`` if the gate's result is masked in the secure readings."""
 
 
 class Gate(ABC):

@@ -16,6 +16,7 @@ from spdz.engine import Engine, Input
 from spdz.fixed_point import MAX_NORM, encode, norm_bound
 from spdz.gates.inputs import MaskedInput
 from spdz.gates.output import output
+from spdz.refusals import described
 from spdz.types import IntArray, Shape
 from spdz.value import Value
 
@@ -52,13 +53,31 @@ def declare(
 async def run(engine: Engine, program: Program, inputs: Sequence[Input]) -> Any:
     """Mask the inputs, run the program, open its result."""
     x, y = await engine.read(MaskedInput(), *inputs)
-    pending = program(engine, x, y)
+    return await output(engine, await result_of("program", program, engine, x, y))
+
+
+async def result_of(kind: str, function: Program, engine: Engine, x: Value, y: Value) -> Value:
+    """Await a program, or a part of one that has its form.
+
+    Args:
+        kind: What the function is called where it is at fault.
+        function: An ``async def function(engine, x, y)``.
+        engine: The reading.
+        x: Party 0's value.
+        y: Party 1's value.
+
+    Returns:
+        Its result.
+
+    Raises:
+        TypeError: if it is no ``async def``, or does not return one value.
+    """
+    pending = function(engine, x, y)
     if not isawaitable(pending):
-        raise TypeError("a program must be an `async def`: this one did not return an awaitable")
+        raise TypeError(
+            f"a {kind} is an `async def`: this one returned {type(pending).__name__} and nothing to await"
+        )
     result = await pending
     if not isinstance(result, Value):
-        raise TypeError(
-            f"a program must return one value, not {type(result).__name__} (is there a `return`, and an "
-            "`await` before nonnegative, beaver_dot and beaver_multiply?)"
-        )
-    return await output(engine, result)
+        raise TypeError(f"a {kind} must return one value, not {described(result)}")
+    return result

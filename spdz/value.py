@@ -30,13 +30,14 @@ from spdz.bound import Bound
 from spdz.field import P
 from spdz.fixed_point import FRACTION_BITS
 from spdz.public import Raw, fraction_bits, integers, is_whole, magnitude, rounded
+from spdz.refusals import Secret, expect_secret, refuse_slips
 from spdz.types import IntArray, Shape
 
 if TYPE_CHECKING:
     from spdz.engine import Engine
 
 
-class Value:
+class Value(Secret):
     """A secret array that a protocol computes with.
 
     Attributes:
@@ -52,8 +53,6 @@ class Value:
     """
 
     __slots__ = ("bound", "engine", "frac", "is_bit", "mask_bits", "masked", "parts", "plain", "shape")
-    __array_priority__ = 1000  # NumPy leaves `array + value` to us
-    __array_ufunc__ = None
 
     def __init__(
         self,
@@ -113,30 +112,11 @@ class Value:
         """Product with public numbers: integers scale exactly, reals are rounded to 16 fractional bits."""
         if isinstance(factor, Value):
             raise TypeError("use spdz.multiply or spdz.dot for the product of two secret values")
+        refuse_slips("a product", factor)
         more = 0 if is_whole(factor) else FRACTION_BITS
         return self._scaled(rounded(factor, more), self.frac + more)
 
     __rmul__ = __mul__
-
-    def __truediv__(self, divisor: object) -> Value:
-        raise TypeError("a secret value cannot be divided: multiply by the reciprocal of a public number")
-
-    def __lt__(self, other: object) -> bool:
-        raise TypeError("compare secret values by `await spdz.nonnegative(x - y)`, which gives a secret bit")
-
-    __le__ = __gt__ = __ge__ = __lt__
-
-    def __eq__(self, other: object) -> bool:
-        """Refused, so that no public False stands for a secret; :func:`spdz.sign` is 0 for equal values."""
-        raise TypeError(
-            "compare secret values by `await spdz.sign(x - y)`, which is a secret 0 for equal ones"
-        )
-
-    __ne__ = __eq__
-    __hash__ = object.__hash__
-
-    def __bool__(self) -> bool:
-        raise TypeError("a program cannot branch on a secret value: only its result is opened")
 
     def plus_raw(self, raw: int | npt.ArrayLike) -> Value:
         """Add public raw integers (in units of ``2**-frac``)."""
@@ -206,6 +186,7 @@ class Value:
 
     def _finer_for(self, public: npt.ArrayLike) -> Value:
         """With at least 16 fractional bits where a real is added: a count minus 2.5 is not one minus 2."""
+        refuse_slips("a sum", public)
         return self if is_whole(public) else self.rescaled(max(self.frac, FRACTION_BITS))
 
     # -- how a linear map acts on the parts ----------------------------------------------------------
@@ -252,6 +233,7 @@ def aligned(x: Value, y: Value) -> tuple[Value, Value]:
 
 def concatenate(*values: Value) -> Value:
     """Values end to end along the first axis, all masked or all shared (else they become shared)."""
+    expect_secret("concatenate", *values)
     if any(value.ndim == 0 or value.shape[1:] != values[0].shape[1:] for value in values):
         raise ValueError("only values that differ in their first axis alone can be concatenated")
     engine = values[0].engine

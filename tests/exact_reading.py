@@ -179,6 +179,10 @@ async def absolute(z):
 
 
 async def maximum(x, y):
+    if not isinstance(x, Number):
+        x, y = y, x
+    if not isinstance(y, Number):
+        y = x._public(y)
     frac = None if None in (x.frac, y.frac) else max(x.frac, y.frac)
     return _entrywise(lambda v, e, w, f: (max(v, w), max(e, f)), x, y, frac=frac)
 

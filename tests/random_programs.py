@@ -443,9 +443,24 @@ class _Drawing:
         self.one(f"await absolute({x.name})", masked=False, bits=x.bits)
 
     def larger(self):
+        if self.chance(0.3):
+            return self.larger_than_public()
         x, y = self.pair(lambda v: v.bits < LONGEST_COMPARED)
         self.require(_sum_bits(x, y), LONGEST_COMPARED)
         self.one(f"await maximum({x.name}, {y.name})", masked=False, bits=_sum_bits(x, y))
+
+    def larger_than_public(self):
+        x = self.some(lambda v: v.bits < LONGEST_COMPARED)
+        frac = 16 if x.frac is None else x.frac
+        whole = self.chance(0.5)
+        unit = min(5 if self.chance(0.4) else 16, max(frac, 16))
+        text, length = self.public(x.shape, whole=whole, largest=self.random.choice([9, 9, 3000]), unit=unit)
+        lift = 0 if whole or x.frac is None else max(16 - x.frac, 0)
+        bits = max(x.bits + lift, length + (x.bits if x.frac is None else x.frac) + lift) + 1
+        self.require(bits, LONGEST_COMPARED)
+        form = self.random.choice(["await maximum({v}, {n})", "await maximum({n}, {v})"])
+        form = "-await maximum(-{v}, 0)" if self.chance(0.1) else form
+        self.one(form.format(v=x.name, n=text), masked=False, bits=bits)
 
     def largest(self):
         x = self.some(lambda v: v.shape and v.bits < LONGEST_COMPARED)

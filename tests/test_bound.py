@@ -212,6 +212,46 @@ def test_a_given_bound_is_believed_as_it_is():
     assert z.bound == Bound.of_entry(ENTRY, (2, N))
 
 
+LEAST = {
+    "zero": (0, ALIKE, ENTRY),
+    "beyond the value": (-5, ONE, 5 << 16),
+    "fewer bits": (2.0**-16, ALIKE, ENTRY),
+    "more than the value": (2000 / 65536, ALIKE, 2000),
+    "one an entry": (np.full(N, 999 / 65536), ALIKE, ENTRY),
+}
+
+
+def largest_of(x, y):
+    with pytest.raises(StopIteration) as done:
+        maximum(x, y).send(None)
+    return done.value.value
+
+
+@pytest.mark.parametrize("name", LEAST)
+def test_the_bound_of_a_maximum_with_public_numbers_is_the_larger_of_both(name):
+    number, rows, entry = LEAST[name]
+    z = value(rows, Bound.of_norm(ENTRY) if rows is ONE else Bound.of_entry(ENTRY, (2, N)))
+    for result in (largest_of(z, number), largest_of(number, z), largest_of(z, -np.asarray(number))):
+        assert holds(result.bound, result.parts[0])
+        assert result.bound.entry == entry
+        assert result.bound.norm <= 3 * entry
+
+
+def test_a_maximum_with_zero_keeps_the_norm():
+    assert largest_of(value(ONE, Bound.of_norm(ENTRY)), 0).bound == Bound.of_norm(ENTRY)
+
+
+def test_a_maximum_of_a_column_and_public_rows_has_the_bound_of_whole_rows():
+    z = value(ALIKE[:, :1], Bound.of_norm(ENTRY))
+    assert largest_of(z, np.zeros(N, dtype=int)).bound == Bound.of_entry(ENTRY, (2, N))
+
+
+def test_a_maximum_of_whole_and_real_numbers_is_bounded_on_the_finer_scale():
+    result = largest_of(value([[3, 4]], Bound(4, 5), frac=0), 0.5)
+    assert (result.frac, result.bound.entry) == (16, 4 << 16)
+    assert holds(result.bound, result.parts[0])
+
+
 def test_the_field_holds_what_is_output():
     largest_number = (1 << 126) - 1
     assert value([largest_number], Bound.of_norm(largest_number)).bound.entry == largest_number

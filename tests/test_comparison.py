@@ -11,7 +11,19 @@ from gate_helpers import SECURITIES, WIDEST, edges, exactly, integers, run_gate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spdz import absolute, dot, largest, mask, maximum, measure, nonnegative, run_clear, run_local, sign
+from spdz import (
+    absolute,
+    dot,
+    largest,
+    mask,
+    maximum,
+    measure,
+    multiply,
+    nonnegative,
+    run_clear,
+    run_local,
+    sign,
+)
 from spdz.gates.pieces import Function, Pieces
 from spdz.gates.piecewise import piecewise
 
@@ -79,6 +91,66 @@ def test_maximum_broadcasts(first, second, security):
     for shared in (False, True):
         value = run_gate(maximum, x, y, bound=2**19, security=security, shared=shared).value
         assert np.array_equal(value, np.maximum(x, y))
+
+
+PUBLIC = {
+    "zero": 0,
+    "a whole number": -1,
+    "a real one": 0.25,
+    "more digits than are kept": 1 / 3,
+    "beyond all inputs": 100.0,
+    "below all inputs": -100,
+    "one an entry": [0.5, -2.0, 7.0, 0.0],
+    "rows": np.array([[0], [1], [-3]], dtype=np.int8),
+}
+
+
+@pytest.mark.parametrize("security", [*SECURITIES, None])
+@pytest.mark.parametrize("name", PUBLIC)
+def test_the_larger_of_a_value_and_public_numbers(name, security):
+    """On an input, on a product, and on whole numbers, where a real one brings its fractional bits along."""
+    number = PUBLIC[name]
+    coarse, fine = (np.rint(np.asarray(number, np.float64) * 2**bits) / 2**bits for bits in (16, 32))
+
+    async def of_input(engine, x, y):
+        return await maximum(x, number)
+
+    async def of_product(engine, x, y):
+        return await maximum(number, multiply(x, y))
+
+    async def of_signs(engine, x, y):
+        return await maximum(await sign(x), number)
+
+    async def smaller(engine, x, y):
+        return -await maximum(-x, -np.asarray(number))
+
+    x, y = np.array([1.5, -2.0, 0.25, -0.125]), np.array([3.0, 2.0, -1.0, 1.0])
+    for program, meaning in (
+        (of_input, np.maximum(x, coarse)),
+        (of_product, np.maximum(x * y, fine)),
+        (of_signs, np.maximum(np.sign(x), coarse)),
+        (smaller, np.minimum(x, coarse)),
+    ):
+        program.max_norm = 8.0
+        run = run_clear(program, x, y) if security is None else run_local(program, x, y, security)
+        assert np.array_equal(run.value, meaning)
+
+
+@pytest.mark.parametrize("security", SECURITIES)
+def test_a_public_operand_of_the_maximum_costs_what_a_secret_one_does(security):
+    assert rounds(lambda x, y: maximum(x, 0.5), security) == rounds(maximum, security)
+    assert rounds(lambda x, y: maximum(0, dot(x, y)), security) == rounds(
+        lambda x, y: maximum(dot(x, y), x[0]), security
+    )
+
+
+@pytest.mark.parametrize("number", [float("nan"), np.inf, 1j, "1", np.array([1, 2])])
+def test_a_public_operand_of_the_maximum_is_real_finite_and_broadcasts(number):
+    async def program(engine, x, y):
+        return await maximum(x, number)
+
+    with pytest.raises(ValueError, match=r"real and finite|broadcast"):
+        measure(program, ((3,), (3,)), "malicious")
 
 
 def test_the_maximum_of_values_on_different_scales():

@@ -12,6 +12,7 @@ from spdz.gates.masking import mask
 from spdz.gates.monomial import multiply
 from spdz.gates.truncation import truncate
 from spdz.public import fraction_bits
+from spdz.refusals import expect_secret
 from spdz.value import Value
 
 
@@ -25,6 +26,7 @@ async def reciprocal(u: Value, *, positive: bool = False) -> Value:
     Returns:
         A shared value: the reciprocal as a floating-point number of 22 bits, written out.
     """
+    expect_secret("reciprocal", u)
     (result,) = await power(u, alpha=Fraction(-1), signed=not positive)
     (mantissa,) = await truncate(result.mantissa, frac=RESULT_BITS)
     return multiply(mantissa, result.scale)
@@ -46,6 +48,7 @@ async def divide(x: Value, y: Value, *, largest: float, frac: int = 24, positive
     Raises:
         ValueError: if ``largest`` or ``frac`` makes no sense.
     """
+    expect_secret("divide", x, y)
     if not 0 < largest < inf:
         raise ValueError("largest must be above 0 and finite: a bound on the quotient's magnitude")
     frac = fraction_bits(frac)

@@ -12,6 +12,7 @@ from spdz.gates.comparison import absolute
 from spdz.gates.monomial import multiply
 from spdz.gates.product import dot
 from spdz.gates.truncation import truncate
+from spdz.refusals import expect_secret
 from spdz.value import Value, concatenate, split
 
 NORMALISED_BITS = 24
@@ -28,12 +29,14 @@ async def l2_normalised(*vectors: Value) -> list[Value]:
         Masked values of the same shapes with 24 fractional bits; each norm is 1 within 2^-17 and the
         rounding of the coordinates.
     """
+    expect_secret("l2_normalised", *vectors)
     rows = _rows(vectors)
     return await _scaled(vectors, rows, *await power(dot(rows, rows), alpha=Fraction(-1, 2)))
 
 
 async def l1_normalised(*vectors: Value) -> list[Value]:
     """``x / sum |x|`` along the last axis; as :func:`l2_normalised`, within 2^-16."""
+    expect_secret("l1_normalised", *vectors)
     rows = _rows(vectors)
     return await _scaled(vectors, rows, *await power((await absolute(rows)).sum(), alpha=Fraction(-1)))
 

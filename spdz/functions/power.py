@@ -38,6 +38,7 @@ from spdz.gates.pieces import Function, Pieces
 from spdz.gates.piecewise import piecewise
 from spdz.gates.polynomial import polynomial
 from spdz.gates.truncation import truncate
+from spdz.refusals import expect_secret
 from spdz.value import Value, concatenate, split
 
 T_BITS = 18
@@ -98,7 +99,7 @@ class _Power(Gate):
     async def clear(self, engine: ClearText, u: Value) -> Power:
         """The scale of the segment, and the mantissa that makes the product right."""
         pieces, _ = _tables(self, u.bound.entry, u.frac)
-        _, _, scale, *unscale = piecewise(u, pieces)
+        _, _, scale, *unscale = await mask(*piecewise(u, pieces))
         bits = MANTISSA_BITS + FINE_BITS
         raw = [int(one) for one in np.asarray(u.parts[0]).flat]
         scales = [int(one) for one in np.asarray(scale.parts[0]).flat]
@@ -164,18 +165,21 @@ def _pieces(known: Table, signed: bool) -> list[tuple[int, int, int, int, int, i
     return [*downward, (0, 0, 0, 0, known.segments[0].exponent, 0), *upward]
 
 
-async def power(*values: Value, alpha: Fraction, signed: bool = False, unscale: bool = False) -> list[Power]:
+async def power(
+    *values: Value, alpha: Fraction | float, signed: bool = False, unscale: bool = False
+) -> list[Power]:
     """u^alpha, elementwise, as mantissa times scale; two rounds for all values.
 
     Args:
         values: Values u of any shapes. A tighter bound makes keys and tables smaller.
-        alpha: 1/2, -1/2 or -1.
+        alpha: 1/2, -1/2 or -1, as a number of any type.
         signed: Whether negative u count (for alpha = -1); else the result is 0 for them.
         unscale: Whether the reciprocals of the scales are wanted as well.
 
     Returns:
         Mantissa and scale of each; both 0 where u is 0.
     """
+    expect_secret("power", *values)
     if (alpha := Fraction(alpha)) not in (Fraction(1, 2), Fraction(-1, 2), Fraction(-1)):
         raise ValueError(f"a power must be 1/2, -1/2 or -1, not {alpha}")
     flat = concatenate(*(u.reshape(-1) for u in values)) if len(values) > 1 else values[0]

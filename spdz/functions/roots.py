@@ -14,6 +14,7 @@ from spdz.functions.power import Power, power
 from spdz.gates.masking import mask
 from spdz.gates.monomial import multiply
 from spdz.gates.truncation import truncate
+from spdz.refusals import expect_secret
 from spdz.value import Value
 
 RESULT_BITS = 22
@@ -33,6 +34,7 @@ async def sqrt(u: Value) -> Value:
         A shared value, a floating-point number written out. Where u's bound is at most 16: of 22 bits, in
         three rounds, relative error below 2^-18. Else of 32 bits, in five rounds, below 2^-30.
     """
+    expect_secret("sqrt", u)
     if u.bound.entry > 16 << u.frac:
         return await _refined_sqrt(u)
     return await _value(*await power(u, alpha=Fraction(1, 2)))
@@ -56,6 +58,7 @@ async def _refined_sqrt(u: Value) -> Value:
 
 async def reciprocal_sqrt(u: Value) -> Value:
     """``1 / sqrt(u)``, elementwise; three rounds, relative error below 2^-17. For u <= 0 the result is 0."""
+    expect_secret("reciprocal_sqrt", u)
     return await _value(*await power(u, alpha=Fraction(-1, 2)))
 
 

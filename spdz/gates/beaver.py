@@ -16,6 +16,7 @@ from math import prod
 from spdz.bound import NOTHING, Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.gates.product import DOT, ELEMENTWISE, Contraction, masked_product
+from spdz.refusals import expect_secret
 from spdz.types import Shape
 from spdz.value import Value
 
@@ -63,11 +64,13 @@ class BeaverProduct(Gate):
 
 async def beaver_multiply(x: Value, y: Value) -> Value:
     """Elementwise product with scalar Beaver triples: one round, two elements an entry."""
+    expect_secret("beaver_multiply", x, y)
     result: Value = await x.engine.read(BeaverProduct(ELEMENTWISE), x, y)
     return result
 
 
 async def beaver_dot(x: Value, y: Value) -> Value:
     """Dot product over the last axis with one vector Beaver triple: one round, 2N elements."""
+    expect_secret("beaver_dot", x, y)
     result: Value = await x.engine.read(BeaverProduct(DOT), x, y)
     return result

@@ -24,6 +24,7 @@ from spdz import field
 from spdz.bound import NOTHING, Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.field import P
+from spdz.refusals import expect_secret
 from spdz.rings import Ring
 from spdz.types import FieldArray
 from spdz.value import Value
@@ -79,7 +80,7 @@ def local_bits(z: Value, bound: int | None = None) -> int:
         ValueError: if the value is not masked, or too long for its mask.
     """
     if not z.masked:
-        raise TypeError("this gate works on a masked value: `await spdz.mask(z)` first")
+        raise TypeError("this gate works on a masked value: `[z] = await spdz.mask(z)` first")
     bits = signed_bits(z.bound.entry if bound is None else bound)
     if bits + SECURITY_BITS >= z.mask_bits:
         raise ValueError(
@@ -123,7 +124,7 @@ class Mask(Gate):
 
     async def clear(self, engine: ClearText, *values: Value) -> list[Value]:
         """The values themselves."""
-        return list(values)
+        return [engine.value(z.parts[0], z.frac, z.bound, masked=True) for z in values]
 
 
 def _fresh_mask(recipe: Recipe, z: Value) -> FieldArray:
@@ -155,6 +156,7 @@ async def mask(*values: Value, fresh: bool = False) -> list[Value]:
     Returns:
         The same numbers as masked values, in order.
     """
+    expect_secret("mask", *values)
     waiting = [z.engine.shared(z) for z in values if fresh or not _ready(z)]
     if not waiting:
         return list(values)

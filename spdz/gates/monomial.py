@@ -27,7 +27,9 @@ from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.gates.element import Element, pack, times, total, unpack
 from spdz.gates.masking import tightened
+from spdz.gates.product import NOT_MASKED
 from spdz.public import limit
+from spdz.refusals import expect_secret
 from spdz.types import FieldArray, Shape
 from spdz.value import Value
 
@@ -45,7 +47,7 @@ class Monomial(Gate):
 
     def _result(self, factors: tuple[Value, ...]) -> tuple[Shape, int, Bound]:
         if not all(factor.masked for factor in factors):
-            raise TypeError("a product needs masked values: `await spdz.mask(z)` first")
+            raise TypeError(NOT_MASKED)
         shape = np.broadcast_shapes(*(factor.shape for factor in factors))
         frac = sum(factor.frac for factor in factors)
         bound = tightened(
@@ -128,6 +130,7 @@ def multiply(*factors: Value, entry: float | None = None, norm: float | None = N
     Raises:
         ValueError: if a bound is negative or not finite, or the shapes do not broadcast.
     """
+    expect_secret("multiply", *factors)
     if len(factors) < 2:
         raise ValueError("a product takes two factors or more")
     result: Value = factors[0].engine.read(Monomial(entry, norm), *factors)

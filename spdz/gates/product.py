@@ -22,6 +22,7 @@ import numpy as np
 from spdz import field, inner_product
 from spdz.bound import Bound
 from spdz.engine import ClearText, Evaluation, Gate, Recipe, Share
+from spdz.refusals import expect_secret
 from spdz.types import BigIntArray, FieldArray, Shape
 from spdz.value import Value
 
@@ -121,6 +122,11 @@ def _total(start: FieldArray, terms: list[FieldArray | None]) -> FieldArray:
     return start
 
 
+NOT_MASKED = (
+    "a product needs masked values; a computed value must be masked again first: `[z] = await spdz.mask(z)`"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Product(Gate):
     """Operands: two masked values."""
@@ -129,7 +135,7 @@ class Product(Gate):
 
     def _result(self, x: Value, y: Value) -> tuple[Shape, int, Bound]:
         if not (x.masked and y.masked):
-            raise TypeError("a product needs masked values; a computed value must be masked again first")
+            raise TypeError(NOT_MASKED)
         shape = self.by.shape(x.shape, y.shape)
         return shape, x.frac + y.frac, self.by.bound(x.bound, y.bound, shape)
 
@@ -167,5 +173,6 @@ def dot(x: Value, y: Value) -> Value:
     Returns:
         ``[[x . y]]`` with the fractional bits of both added up, exact.
     """
+    expect_secret("dot", x, y)
     result: Value = x.engine.read(Product(DOT), x, y)
     return result

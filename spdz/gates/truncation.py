@@ -27,6 +27,7 @@ from spdz.bound import Bound, root
 from spdz.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits, mask
 from spdz.public import fraction_bits
+from spdz.refusals import expect_secret
 from spdz.types import FieldArray
 from spdz.value import Value
 
@@ -107,7 +108,7 @@ class Truncate(Gate):
 
     def clear(self, engine: ClearText, z: Value) -> Value:
         """Round to the nearest, ties up."""
-        return engine.value(_rounded(z, self.drop), z.frac - self.drop, _bound(z, self.drop))
+        return engine.value(_rounded(z, self.drop), z.frac - self.drop, _bound(z, self.drop), masked=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +182,7 @@ async def truncate(*values: Value, frac: int) -> list[Value]:
     Raises:
         ValueError: if a value has fewer fractional bits, or frac is negative or no integer.
     """
+    expect_secret("truncate", *values)
     frac = fraction_bits(frac)
     masked = await mask(*values)
     return [z if z.frac == frac else z.engine.read(Truncate(_drop(z, frac)), z) for z in masked]
@@ -191,6 +193,7 @@ async def round_exactly(*values: Value, frac: int) -> list[Value]:
 
     As :func:`truncate`, for one DCF key of as many bits as are dropped; the results are shared.
     """
+    expect_secret("round_exactly", *values)
     frac = fraction_bits(frac)
     masked = await mask(*values)
     return [z if z.frac == frac else z.engine.read(TruncateExactly(_drop(z, frac)), z) for z in masked]
