@@ -302,7 +302,26 @@ def test_several_powers_at_once_are_the_single_ones(security):
         assert relative(value, truth) < MANTISSA_ERROR[-HALF]
 
 
-@pytest.mark.parametrize("alpha", [Fraction(1), Fraction(2), Fraction(1, 3), Fraction(0)], ids=str)
+@pytest.mark.parametrize("alpha", [0.5, -0.5, -1, -1.0, np.float32(-0.5), np.int64(-1)], ids=repr)
+def test_a_power_is_a_number_of_any_type(alpha):
+    async def function(u):
+        (result,) = await power(u, alpha=alpha)
+        return result.scale
+
+    async def exact(u):
+        (result,) = await power(u, alpha=Fraction(float(alpha)))
+        return result.scale
+
+    u = integers(1, 7, 2**20)
+    for security in (*SECURITIES, None):
+        value = run_gate(function, u, bound=2**30, frac=5, security=security).value
+        assert np.array_equal(value, run_gate(exact, u, bound=2**30, frac=5, security=security).value)
+
+
+OTHER_POWERS = [Fraction(1), Fraction(2), Fraction(1, 3), 0, 0.25, np.nan, None, "x"]
+
+
+@pytest.mark.parametrize("alpha", OTHER_POWERS, ids=str)
 def test_other_powers_are_refused(alpha):
     async def other(u):
         return (await power(u, alpha=alpha))[0].scale

@@ -41,6 +41,8 @@ from spdz.gates.truncation import truncate
 from spdz.refusals import expect_secret
 from spdz.value import Value, concatenate, split
 
+POWERS = (Fraction(1, 2), Fraction(-1, 2), Fraction(-1))
+
 T_BITS = 18
 """Fractional bits of t: an error of one unit moves the result by at most 2^-18 of itself."""
 
@@ -180,12 +182,12 @@ async def power(
         Mantissa and scale of each; both 0 where u is 0.
     """
     expect_secret("power", *values)
-    if (alpha := Fraction(alpha)) not in (Fraction(1, 2), Fraction(-1, 2), Fraction(-1)):
+    if (exact := next((known for known in POWERS if known == alpha), None)) is None:
         raise ValueError(f"a power must be 1/2, -1/2 or -1, not {alpha}")
     flat = concatenate(*(u.reshape(-1) for u in values)) if len(values) > 1 else values[0]
-    if (alpha * flat.frac).denominator != 1:
+    if (exact * flat.frac).denominator != 1:
         flat = flat.rescaled(flat.frac + 1)
-    powers: Power = await flat.engine.read(_Power(alpha, signed, unscale), flat)
+    powers: Power = await flat.engine.read(_Power(exact, signed, unscale), flat)
     if len(values) == 1:
         return [powers]
     known = [part for part in (powers.mantissa, powers.scale, powers.unscale) if part is not None]
