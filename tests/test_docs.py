@@ -82,23 +82,100 @@ def run_commands(commands: list[str], folder: Path) -> str:
     return "\n".join(outputs)
 
 
+class Printed:
+    """Stands for ``print`` in a page's blocks and keeps what each line of them prints."""
+
+    def __init__(self) -> None:
+        self.lines: dict[tuple[str, int], list[str]] = {}
+
+    def __call__(self, *things: object) -> None:
+        caller = sys._getframe(1)
+        place = caller.f_code.co_filename, caller.f_lineno
+        self.lines.setdefault(place, []).append(" ".join(map(str, things)))
+
+
+def shown(comment: str) -> tuple[str, bool] | None:
+    """The output that a comment behind a ``print`` shows, and whether all of it; None if it only explains.
+
+    Output begins as a number, a list, a truth value or a score's name does. It ends at dots, which stand for
+    the rest, or where an explanation begins: a comma or a colon, and a word.
+    """
+    if not re.match(r"-?\d|[\[({]|True\b|False\b|S\d", comment):
+        return None
+    output, dots, _ = comment.partition("...")
+    return (output, False) if dots else (re.split(r"[,:] (?=[a-z])", comment)[0], True)
+
+
+def wrong_comments(source: str, block: str, printed: Printed) -> list[str]:
+    """Lines ``print(...)  # output`` of a block that has run, where the output was another."""
+    wrong = []
+    for number, line in enumerate(source.splitlines(), 1):
+        found = re.fullmatch(r"\s*print\(.*\)  # (.*)", line)
+        expected = shown(found[1]) if found else None
+        if expected is not None:
+            text = ", ".join(printed.lines.get((block, number), ["nothing"]))
+            output, whole = expected
+            if text != output if whole else not text.startswith(output):
+                wrong.append(f"{block}: {line.strip()}, but it prints {text}")
+    return wrong
+
+
 def follow(page: Path, folder: Path) -> None:
     """Run a page in a folder: Python blocks share one namespace, commands run where they stand between them.
 
-    A line ``match: ...`` that the page shows is one that its commands print.
+    What a comment behind a ``print`` shows is printed there; a line ``match: ...`` is printed by a command.
     """
-    namespace: dict[str, object] = {"__name__": "example"}
+    shown_by_python = Printed()
+    namespace: dict[str, object] = {"__name__": "example", "print": shown_by_python}
     ran, printed = 0, ""
     for number, (language, body) in enumerate(FENCE.findall(read(page))):
         source = body.replace("127.0.0.1:9000", f"127.0.0.1:{free_port()}")
         if language == "python":
-            exec(compile(source, f"{name(page)}, block {number}", "exec"), namespace)
+            block = f"{name(page)}, block {number}"
+            exec(compile(source, block, "exec"), namespace)
+            assert wrong_comments(source, block, shown_by_python) == []
         elif language == "bash":
             printed += run_commands(source.splitlines(), folder)
         ran += language in ("python", "bash")
     assert ran >= 4
     for line in re.findall(r"match: \w+ \d+  \w+ \d+", read(page)):
         assert line in printed
+
+
+@pytest.mark.parametrize(
+    ("comment", "output"),
+    [
+        ("0.96001..., the score", ("0.96001", False)),
+        ("True, and nothing else", ("True", True)),
+        ("5: input, opening", ("5", True)),
+        ("[[1 2]]", ("[[1 2]]", True)),
+        ("{'a': 1, 'b c': 2}", ("{'a': 1, 'b c': 2}", True)),
+        ("S2 [1, 2], S8 [3, 4]", ("S2 [1, 2], S8 [3, 4]", True)),
+        ("several numbers near 0.96", None),
+        ("Trueish", None),
+    ],
+)
+def test_output_is_told_from_explanation(comment, output):
+    assert shown(comment) == output
+
+
+@pytest.mark.parametrize(
+    ("line", "right"),
+    [
+        ("print(1 / 3)  # 0.333..., a third", True),
+        ("print(1 / 3)  # 0.334..., a third", False),
+        ("print(True, 5)  # True 5", True),
+        ("print(True, 5)  # True", False),
+        ("for i in range(2):\n    print(i, [i])  # 0 [0], 1 [1]", True),
+        ("for i in range(2):\n    print(i, [i])  # 0 [0]", False),
+        ("if 0:\n    print(0)  # 0", False),
+        ("print(0)  # whatever", True),
+    ],
+)
+def test_a_comment_that_shows_other_output_is_found(line, right):
+    printed = Printed()
+    exec(compile(line, "block", "exec"), {"print": printed})
+    assert (wrong_comments(line, "block", printed) == []) is right
 
 
 @pytest.mark.timeout(600)
