@@ -64,8 +64,14 @@ def is_candidate(score: Score, threshold: float) -> Candidate:
         A program for :func:`spdz.run_local` or a networked session.
 
     Raises:
+        TypeError: if the score is none, such as a bare function.
         ValueError: if the threshold is not one finite real number.
     """
+    if not isinstance(score, Score):
+        raise TypeError(
+            f"is_candidate takes a score, not {type(score).__name__}: protocols.Score(name, title, "
+            "similarity=True, formula=function) makes one of an `async def function(engine, x, y)`"
+        )
     if isinstance(threshold, bool) or not isinstance(threshold, (int, float, np.integer, np.floating)):
         raise ValueError("the threshold is one real number for all pairs: call once for each threshold")
     if not math.isfinite(threshold):

@@ -91,6 +91,14 @@ def test_a_score_is_told_so_too_whether_it_is_opened_or_compared(name, similarit
         refused(whole, f"a score .*{says}")
 
 
+@pytest.mark.parametrize(
+    "other", [returned(lambda x, y: dot(x, y)), "S10", None], ids=["function", "name", "none"]
+)
+def test_only_a_score_has_candidates(other):
+    with pytest.raises(TypeError, match=r"is_candidate takes a score, not .*formula=function"):
+        is_candidate(other, 0.5)
+
+
 # -- what gates are given ---------------------------------------------------------------------------------
 
 GATES = {
