@@ -6,7 +6,7 @@ import resource
 import socket
 
 import pytest
-from channel_helpers import LONG, SHORT, assert_alive, meet, ways
+from channel_helpers import SHORT, assert_alive, meet, ways
 
 from spdz.channels import listening, reception, tcp
 from spdz.channels.addresses import parse_address
@@ -69,5 +69,5 @@ def test_a_call_goes_on_while_there_are_no_descriptors(monkeypatch):
         address = listening.address_of(listener)
         monkeypatch.setattr(socket, "socket", Scarce)
         with pytest.raises(ChannelTimeout, match="the greeting"):  # it got through: nobody accepts
-            tcp.connect(address, timeout=SHORT, wait=LONG)
+            tcp.connect(address, timeout=SHORT, wait=8 * SHORT)
     assert Scarce.left == 0

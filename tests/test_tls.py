@@ -180,7 +180,7 @@ def test_a_stalling_caller_does_not_extend_the_wait(folders):
 def test_a_stalling_listener_is_a_timeout(folders):
     with socket.create_server(("127.0.0.1", 0)) as listener, pytest.raises(ChannelTimeout, match="handshake"):
         address = f"127.0.0.1:{listener.getsockname()[1]}"
-        tls.connect(address, folders / "bob", "alice", timeout=SHORT)
+        tls.connect(address, folders / "bob", "alice", timeout=SHORT, wait=SHORT)
 
 
 def test_unusable_credentials_are_told_before_anything_is_opened(folders, tmp_path):

@@ -15,9 +15,11 @@ from collections.abc import Callable
 from typing import TypeAlias, TypeVar
 
 from spdz.channels.base import LONGEST_SLEEP
+from spdz.channels.telling import Teller, ignore, printable
 from spdz.errors import ChannelError
 
 RETRY_SECONDS = 0.1
+_SLOW_SECONDS = 1.0  # a resolver that takes longer is told of
 
 SocketAddress: TypeAlias = tuple[str, int] | tuple[str, int, int, int]
 Target: TypeAlias = tuple[socket.AddressFamily, SocketAddress]
@@ -27,16 +29,37 @@ T = TypeVar("T")
 
 
 class NotYet(ChannelError):
-    """An attempt failed in a way that waiting may cure. Never leaves this package: :func:`patiently`."""
+    """An attempt failed in a way that waiting may cure. Never leaves this package: :func:`patiently`.
+
+    Args:
+        why: The reason, in a few words.
+        what: What does not work, as in "robot cannot be resolved"; empty if whoever made the attempt knows.
+    """
+
+    def __init__(self, why: str, what: str = "") -> None:
+        super().__init__(f"{what}: {why}" if what else why)
+        self.what, self.why = what, why
+
+    def told(self, what: str) -> str:
+        """The reason as :class:`Teller` takes it; ``what`` stands in where this error has none."""
+        return f"{self.what or what} yet ({self.why})"
 
 
-def patiently(attempt: Callable[[], T], deadline: float, give_up: Callable[[NotYet], ChannelError]) -> T:
+def patiently(
+    attempt: Callable[[], T],
+    deadline: float,
+    give_up: Callable[[NotYet], ChannelError],
+    teller: Teller,
+    what: str,
+) -> T:
     """Repeat an attempt while it fails with :class:`NotYet`.
 
     Args:
         attempt: What to try, at least once.
         deadline: ``time.monotonic()`` after which no further attempt begins.
         give_up: Makes the error that is raised then from that of the last attempt.
+        teller: Is told why an attempt failed that is made again.
+        what: What does not work if an attempt fails and does not say it.
     """
     while True:
         try:
@@ -44,6 +67,7 @@ def patiently(attempt: Callable[[], T], deadline: float, give_up: Callable[[NotY
         except NotYet as error:
             if time.monotonic() + RETRY_SECONDS >= deadline:
                 raise give_up(error) from error
+            teller.not_yet(error.told(what), deadline)
         time.sleep(RETRY_SECONDS)
 
 
@@ -65,12 +89,13 @@ def parse_address(address: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def resolve(address: str, seconds: float) -> list[Target]:
+def resolve(address: str, seconds: float, on_slow: Callable[[str], None] = ignore) -> list[Target]:
     """Every address of a host at this moment, each once, in the resolver's order.
 
     Args:
         address: ``host:port``.
         seconds: How long a look-up may take.
+        on_slow: Called with the reason if it takes more than a second.
 
     Raises:
         ValueError: if the address is malformed.
@@ -78,15 +103,18 @@ def resolve(address: str, seconds: float) -> list[Target]:
         ChannelError: if it can never be a host name.
     """
     host, port = parse_address(address)
+    what = f"{printable(host)} cannot be resolved"
+    silence = NotYet("the resolver does not answer", what)
     try:
-        found = _look_up(host, port) if _is_numeric(host) else _within(seconds, host, port)
+        if _is_numeric(host):
+            return _look_up(host, port)
+        return _within(seconds, host, port, lambda: on_slow(silence.told(what)))
     except queue.Empty:
-        raise NotYet(f"the host name {host!r} cannot be resolved: the resolver does not answer") from None
+        raise silence from None
     except OSError as error:
-        raise NotYet(f"the host name {host!r} cannot be resolved: {error.strerror or error}") from error
+        raise NotYet(error.strerror or str(error), what) from error
     except UnicodeError as error:
-        raise ChannelError(f"the host name {host!r} cannot be resolved: {error}") from error
-    return found
+        raise ChannelError(f"{what}: {error}") from error
 
 
 def _is_numeric(host: str) -> bool:
@@ -104,8 +132,9 @@ def _look_up(host: str, port: int) -> list[Target]:
     return list(dict.fromkeys((family, where) for family, _, _, _, where in found))  # type: ignore[misc]
 
 
-def _within(seconds: float, host: str, port: int) -> list[Target]:
+def _within(seconds: float, host: str, port: int, on_slow: Callable[[], None]) -> list[Target]:
     """Look a name up in a thread; :class:`queue.Empty` if that takes longer."""
+    deadline = time.monotonic() + seconds
     answers: queue.SimpleQueue[list[Target] | Exception] = queue.SimpleQueue()
 
     def work() -> None:
@@ -115,7 +144,13 @@ def _within(seconds: float, host: str, port: int) -> list[Target]:
             answers.put(error)
 
     threading.Thread(target=work, name=f"look-up of {host}", daemon=True).start()
-    answer = answers.get(timeout=max(0.0, min(seconds, LONGEST_SLEEP)))
+    try:
+        answer = answers.get(timeout=max(0.0, min(seconds, _SLOW_SECONDS)))
+    except queue.Empty:
+        if (left := deadline - time.monotonic()) <= 0:
+            raise
+        on_slow()
+        answer = answers.get(timeout=min(left, LONGEST_SLEEP))
     if isinstance(answer, Exception):
         raise answer
     return answer

@@ -28,6 +28,7 @@ from spdz.channels.frames import (
     pack_abort,
     pack_header,
 )
+from spdz.channels.telling import in_seconds
 from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted, SpdzError
 
 DEFAULT_TIMEOUT = 30.0
@@ -234,5 +235,7 @@ def remaining(deadline: float, reader: FrameReader, seconds: float) -> float:
     """
     left = deadline - time.monotonic()
     if left <= 0:
-        raise ChannelTimeout(f"the peer did not finish this round within {seconds:g} s ({reader.progress()})")
+        raise ChannelTimeout(
+            f"the peer did not finish this round within {in_seconds(seconds)} ({reader.progress()})"
+        )
     return min(left, LONGEST_SLEEP)

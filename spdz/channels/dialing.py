@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from spdz.channels.addresses import NotYet, Target, parse_address, patiently, resolve
 from spdz.channels.stream import describe
+from spdz.channels.telling import Teller, in_seconds
 from spdz.errors import ChannelError, ChannelTimeout
 
 _ATTEMPT_SECONDS = 5.0  # one attempt to connect, where packets are dropped without an answer
@@ -16,17 +17,27 @@ _ATTEMPT_SECONDS = 5.0  # one attempt to connect, where packets are dropped with
 T = TypeVar("T")
 
 
-def call(address: str, wait: float, establish: Callable[[socket.socket], T]) -> T:
+def call(
+    address: str,
+    wait: float,
+    timeout: float,
+    teller: Teller,
+    establish: Callable[[socket.socket, float], T],
+) -> T:
     """Connect and establish what is wanted over the connection, trying again for ``wait`` seconds.
 
     So either side can be started first, also behind a forwarder that takes the connection before the peer
-    listens, and with a name or a network that is not there yet.
+    listens, and with a name or a network that is not there yet. Where somebody takes the connection and then
+    stalls, the next address has its turn, and the same one again while ``wait`` lasts.
 
     Args:
         address: Where the peer listens, ``host:port``.
         wait: Seconds to keep trying.
-        establish: Gets the connected socket, owns it from then on, and raises :class:`NotYet` if it turns out
-            that the peer is not behind it. Every other error ends the call.
+        timeout: Seconds that establishing may take, which may end that much after ``wait``.
+        teller: Is told why there is no connection yet.
+        establish: Gets the connected socket, which it owns from then on, and the seconds that it may take.
+            Raises :class:`NotYet` if it turns out that the peer is not behind it, and
+            :class:`ChannelTimeout` if those seconds are over. Every other error ends the call.
 
     Raises:
         ValueError: if the address is malformed.
@@ -38,22 +49,30 @@ def call(address: str, wait: float, establish: Callable[[socket.socket], T]) -> 
 
     def give_up(last: NotYet) -> ChannelError:
         return ChannelTimeout(
-            f"nobody answered at {address} within {wait:g} s ({last}): is the other robot listening?"
+            f"nobody answered at {address} within {in_seconds(wait)} ({last}): is the other robot listening?"
         )
 
-    return patiently(lambda: _attempt(address, deadline, establish), deadline, give_up)
+    def attempt() -> T:
+        targets = resolve(address, deadline - time.monotonic(), lambda why: teller.not_yet(why, deadline))
+        return _try_each(targets, deadline, timeout, establish)
+
+    return patiently(attempt, deadline, give_up, teller, f"nobody answers at {address}")
 
 
-def _attempt(address: str, deadline: float, establish: Callable[[socket.socket], T]) -> T:
+def _try_each(
+    targets: list[Target], deadline: float, timeout: float, establish: Callable[[socket.socket, float], T]
+) -> T:
     """Try every address of the host once."""
-    targets = resolve(address, deadline - time.monotonic())
     failure = NotYet("the host has no address")
     for untried, target in zip(range(len(targets), 0, -1), targets, strict=True):
-        seconds = min(_ATTEMPT_SECONDS, deadline - time.monotonic()) / untried
+        left = deadline - time.monotonic()
+        share = timeout if untried == 1 else min(timeout, max(_ATTEMPT_SECONDS, left / untried))
         try:
-            return establish(_connect(target, seconds))
+            return establish(_connect(target, min(_ATTEMPT_SECONDS, left) / untried), share)
         except NotYet as error:
             failure = error
+        except ChannelTimeout as error:
+            failure = NotYet(str(error))
     raise failure
 
 

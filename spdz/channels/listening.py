@@ -69,8 +69,9 @@ def open_listener(address: str) -> Listener:
         except OSError as error:
             if error.errno == errno.EADDRINUSE and tries:
                 continue
-            kind = ChannelError if error.errno in _HOPELESS else NotYet
-            raise kind(f"cannot listen on {address}: {describe(error)}") from error
+            if error.errno in _HOPELESS:
+                raise ChannelError(f"cannot listen on {address}: {describe(error)}") from error
+            raise NotYet(describe(error), f"cannot listen on {address}") from error
 
 
 def _bind_all(targets: list[Target], port: int) -> list[socket.socket]:
@@ -113,8 +114,13 @@ def _bind(target: Target, port: int, alone: bool) -> socket.socket:
 
 def address_of(listener: Listener) -> str:
     """Where a listener listens first, as ``host:port``, with the port that it got if 0 was asked for."""
-    host, port = listener.sockets[0].getsockname()[:2]
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    return addresses_of(listener)[0]
+
+
+def addresses_of(listener: Listener) -> list[str]:
+    """Everywhere that a listener listens, as :func:`address_of`."""
+    names = [sock.getsockname()[:2] for sock in listener.sockets]
+    return [f"[{host}]:{port}" if ":" in host else f"{host}:{port}" for host, port in names]
 
 
 def accept_one(sock: socket.socket) -> socket.socket | None:

@@ -15,8 +15,9 @@ from collections.abc import Callable
 
 from spdz.channels.addresses import RETRY_SECONDS, NotYet, patiently
 from spdz.channels.base import LONGEST_SLEEP
-from spdz.channels.listening import Listener, accept_one, address_of
+from spdz.channels.listening import Listener, accept_one, address_of, addresses_of
 from spdz.channels.stream import Stream, describe
+from spdz.channels.telling import Teller, in_seconds
 from spdz.errors import ChannelError, ChannelTimeout
 
 MAX_HANDSHAKES = 32
@@ -51,8 +52,9 @@ def receive(
     listen: Callable[[], Listener],
     wait: float,
     on_listening: Callable[[str], None],
+    teller: Teller,
     admit: Callable[[socket.socket], Caller],
-    absent: str,
+    peer: str,
     rite: str,
 ) -> Stream:
     """Listen until the peer has come.
@@ -61,8 +63,9 @@ def receive(
         listen: Opens the listener.
         wait: Seconds for everything.
         on_listening: Called with the address as soon as the peer can connect.
+        teller: Is told where this side listens as soon as it does, why it does not yet, and who is refused.
         admit: Makes a caller of a connection, which it owns then.
-        absent: "the peer did not connect", in the words of this kind of connection.
+        peer: Who is expected, in words.
         rite: What a caller has to get through, for error messages.
 
     Raises:
@@ -72,17 +75,18 @@ def receive(
     deadline = time.monotonic() + wait
 
     def give_up(last: NotYet) -> ChannelError:
-        return ChannelError(f"{last} (tried for {wait:g} s)")
+        return ChannelError(f"{last} (tried for {in_seconds(wait)})")
 
     with (
-        patiently(listen, deadline, give_up) as listener,
-        contextlib.closing(Reception(listener, admit)) as reception,
+        patiently(listen, deadline, give_up, teller, "cannot listen") as listener,
+        contextlib.closing(Reception(listener, admit, teller)) as reception,
     ):
+        teller.tell(f"listening on {' and '.join(addresses_of(listener))} for {peer}")
         on_listening(address_of(listener))
-        peer = reception.wait_for_peer(deadline)
-        if peer is None:
-            raise reception.failure(f"{absent} within {wait:g} s", rite)
-        return peer
+        stream = reception.wait_for_peer(deadline)
+        if stream is None:
+            raise reception.failure(f"{peer} did not connect within {in_seconds(wait)}", rite)
+        return stream
 
 
 class Reception:
@@ -91,11 +95,13 @@ class Reception:
     Args:
         listener: Where they come from.
         admit: Makes a caller of a connection.
+        teller: Is told who is refused, and when no connection can be taken.
     """
 
-    def __init__(self, listener: Listener, admit: Callable[[socket.socket], Caller]) -> None:
+    def __init__(self, listener: Listener, admit: Callable[[socket.socket], Caller], teller: Teller) -> None:
         self._doors = {sock.fileno(): sock for sock in listener.sockets}
         self._admit_one = admit
+        self._teller = teller
         self._callers: dict[int, Caller] = {}  # by descriptor, the oldest first
         self._poll = select.poll()
         self._refused = 0
@@ -121,11 +127,10 @@ class Reception:
                 f"{what}; callers refused: {self._refused}, the last one because: {self._last_refusal}"
             )
         if self._no_room:
-            return ChannelTimeout(
-                f"{what} ({self._no_room}: a connection could not be taken; close files or raise `ulimit -n`)"
-            )
-        stalled = f" ({len(self._callers)} connected without {rite})" if self._callers else ""
-        return ChannelTimeout(what + stalled)
+            return ChannelTimeout(f"{what}: {self._no_room}")
+        if self._callers:
+            return ChannelTimeout(f"{what} ({len(self._callers)} connected without {rite})")
+        return ChannelTimeout(f"{what}: is it started with connect= (--connect) to this address?")
 
     def close(self) -> None:
         """Hang up on every caller that is left."""
@@ -136,7 +141,10 @@ class Reception:
         try:
             sock = accept_one(door)
         except OSError as error:
-            self._no_room = describe(error)
+            self._no_room = (
+                f"a connection could not be taken ({describe(error)}); close files or raise `ulimit -n`"
+            )
+            self._teller.tell(self._no_room)
             time.sleep(RETRY_SECONDS)  # the door stays ready, and poll would return at once
             return
         if sock is None:
@@ -163,6 +171,7 @@ class Reception:
         self._refused += 1
         self._last_refusal = why
         self._let_go(caller.stream.fileno()).stream.part(caller.farewell)
+        self._teller.tell(f"refused a caller: {why}")
 
     def _let_go(self, descriptor: int) -> Caller:
         self._poll.unregister(descriptor)

@@ -11,6 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from spdz.channels.base import LONGEST_SLEEP
+from spdz.channels.telling import in_seconds
 from spdz.errors import ChannelTimeout
 
 _DRAIN = 64 << 10
@@ -127,7 +128,7 @@ def complete(stream: Stream, step: Callable[[], int], timeout: float, what: str)
     while events := step():
         left = deadline - time.monotonic()
         if left <= 0:
-            raise ChannelTimeout(f"{what} was not finished within {timeout:g} s")
+            raise ChannelTimeout(f"{what} was not finished within {in_seconds(timeout)}")
         poll.register(stream, events)
         poll.poll(min(left, LONGEST_SLEEP) * 1000)
 

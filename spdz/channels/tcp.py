@@ -22,16 +22,13 @@ from spdz.channels.listening import open_listener
 from spdz.channels.reception import Caller, receive
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.stream import PlainStream, Stream, complete, describe
+from spdz.channels.telling import Teller, ignore
 from spdz.errors import ChannelError
 
 DEFAULT_WAIT = 60.0
 CALLER_GREETING = b"spdz caller 1\n"
 LISTENER_GREETING = b"spdz listener 1\n"
 _TLS_FIRST_BYTES = b"\x15\x16"  # an alert, a handshake record (RFC 8446, 5.1)
-
-
-def ignore(address: str) -> None:
-    """The default ``on_listening``."""
 
 
 def listen(
@@ -41,6 +38,7 @@ def listen(
     wait: float = DEFAULT_WAIT,
     max_frame: int = MAX_FRAME,
     on_listening: Callable[[str], None] = ignore,
+    on_event: Callable[[str], None] = ignore,
 ) -> SocketChannel:
     """Wait for the peer and take the first that greets. Insecure: see the module's text.
 
@@ -50,6 +48,8 @@ def listen(
         wait: Seconds to wait for the peer, and for the address if that cannot be listened on yet.
         max_frame: Largest payload in bytes.
         on_listening: Called with the actual address as soon as the peer can connect.
+        on_event: Called with a sentence when this side listens, and when the reason changes why it does not
+            yet, or why a caller was refused.
 
     Raises:
         ValueError: if an argument is malformed.
@@ -61,8 +61,9 @@ def listen(
         lambda: open_listener(address),
         wait,
         on_listening,
+        Teller(on_event),
         _PlainCaller,
-        f"nobody connected to {address}",
+        "the other robot",
         "a greeting",
     )
     return SocketChannel(stream, timeout, max_frame)
@@ -74,13 +75,17 @@ def connect(
     timeout: float = DEFAULT_TIMEOUT,
     wait: float = DEFAULT_WAIT,
     max_frame: int = MAX_FRAME,
+    on_event: Callable[[str], None] = ignore,
 ) -> SocketChannel:
     """Connect to a listening peer. Insecure: see the module's text.
 
     Args:
         address: Where the peer listens, ``host:port``.
         timeout: Seconds that the greeting, and then one exchange, may take.
-        wait: Seconds to keep trying, also while the host name or the network is not there yet.
+        wait: Seconds to keep trying, also while the host name or the network is not there yet, and where
+            somebody takes the connection and does not greet within ``timeout``.
+        max_frame: Largest payload in bytes.
+        on_event: Called with a sentence when the reason changes why there is no connection yet.
         max_frame: Largest payload in bytes.
 
     Raises:
@@ -89,7 +94,7 @@ def connect(
         ChannelTimeout: if nobody answered.
     """
     check_limits(timeout, max_frame)
-    return SocketChannel(call(address, wait, lambda sock: _greet(sock, timeout)), timeout, max_frame)
+    return SocketChannel(call(address, wait, timeout, Teller(on_event), _greet), timeout, max_frame)
 
 
 class _Greeting:

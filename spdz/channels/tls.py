@@ -20,7 +20,8 @@ from spdz.channels.listening import open_listener
 from spdz.channels.reception import Caller, receive
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.stream import complete, describe
-from spdz.channels.tcp import DEFAULT_WAIT, ignore
+from spdz.channels.tcp import DEFAULT_WAIT
+from spdz.channels.telling import Teller, ignore
 from spdz.channels.tls_stream import TlsStream
 from spdz.errors import ChannelError
 
@@ -40,6 +41,7 @@ def listen(
     wait: float = DEFAULT_WAIT,
     max_frame: int = MAX_FRAME,
     on_listening: Callable[[str], None] = ignore,
+    on_event: Callable[[str], None] = ignore,
 ) -> SocketChannel:
     """Wait for one particular robot; all other callers are refused.
 
@@ -51,6 +53,8 @@ def listen(
         wait: Seconds to wait for the peer, and for the address if that cannot be listened on yet.
         max_frame: Largest payload in bytes.
         on_listening: Called with the actual address as soon as the peer can connect.
+        on_event: Called with a sentence when this side listens, and when the reason changes why it does not
+            yet, or why a caller was refused.
 
     Raises:
         ValueError: if an argument is malformed or the credentials cannot be used.
@@ -63,8 +67,9 @@ def listen(
         lambda: open_listener(address),
         wait,
         on_listening,
+        Teller(on_event),
         lambda sock: _TlsCaller(TlsStream(sock, context, server_side=True), peer),
-        f"{peer!r} did not connect",
+        repr(peer),
         "a TLS handshake",
     )
     return SocketChannel(stream, timeout, max_frame)
@@ -78,6 +83,7 @@ def connect(
     timeout: float = DEFAULT_TIMEOUT,
     wait: float = DEFAULT_WAIT,
     max_frame: int = MAX_FRAME,
+    on_event: Callable[[str], None] = ignore,
 ) -> SocketChannel:
     """Connect to one particular robot.
 
@@ -90,8 +96,9 @@ def connect(
         peer: Name of the only robot to talk to, as the dealer knows it.
         timeout: Seconds that the TLS handshake, and then one exchange, may take.
         wait: Seconds to keep trying, also while the host name or the network is not there yet, and where
-            connections end before the TLS handshake has told anything.
+            connections end, or stall for ``timeout``, before the TLS handshake has told anything.
         max_frame: Largest payload in bytes.
+        on_event: Called with a sentence when the reason changes why there is no connection yet.
 
     Raises:
         ValueError: if an argument is malformed or the credentials cannot be used.
@@ -101,17 +108,17 @@ def connect(
     check_limits(timeout, max_frame)
     context = make_context(credentials, ssl.PROTOCOL_TLS_CLIENT)
 
-    def establish(sock: socket.socket) -> TlsStream:
+    def establish(sock: socket.socket, seconds: float) -> TlsStream:
         stream = TlsStream(sock, context, server_side=False)
         try:
-            _shake_hands(stream, timeout)
+            _shake_hands(stream, seconds)
             require_name(stream, peer)
         except BaseException:
             stream.part(_WRONG_ROBOT)  # TLS lets it out only if the handshake is done
             raise
         return stream
 
-    return SocketChannel(call(address, wait, establish), timeout, max_frame)
+    return SocketChannel(call(address, wait, timeout, Teller(on_event), establish), timeout, max_frame)
 
 
 def make_context(credentials: Path, protocol: int) -> ssl.SSLContext:
@@ -131,15 +138,24 @@ def make_context(credentials: Path, protocol: int) -> ssl.SSLContext:
     context.verify_flags |= ssl.VERIFY_X509_STRICT
     if protocol == ssl.PROTOCOL_TLS_SERVER:
         context.num_tickets = 0  # sessions are not resumed
-    for name in (CA_FILE, CERTIFICATE_FILE, KEY_FILE):
-        if not (credentials / name).is_file():
-            raise ValueError(f"{credentials / name} is missing: give the folder that the dealer wrote")
+    require_files(credentials)
     try:
         context.load_verify_locations(credentials / CA_FILE)
         context.load_cert_chain(credentials / CERTIFICATE_FILE, credentials / KEY_FILE, password="")
     except OSError as error:
         raise ValueError(f"the credentials in {credentials} cannot be used: {describe(error)}") from error
     return context
+
+
+def require_files(credentials: Path) -> None:
+    """Accept a folder that holds all of a robot's credentials.
+
+    Raises:
+        ValueError: naming a file that is missing.
+    """
+    for name in (CA_FILE, CERTIFICATE_FILE, KEY_FILE):
+        if not (credentials / name).is_file():
+            raise ValueError(f"{credentials / name} is missing: give the folder that the dealer wrote")
 
 
 def require_name(stream: TlsStream, peer: str) -> None:
@@ -167,6 +183,14 @@ def _shake_hands(stream: TlsStream, timeout: float) -> None:
         raise NotYet(f"the connection ended before the TLS handshake did: {describe(error)}") from error
 
 
+def _is_about_a_certificate(error: OSError) -> bool:
+    """Whether a certificate was not accepted: the other side's here, or this side's there (RFC 8446, 6.2)."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return True
+    reason = (error.reason or "") if isinstance(error, ssl.SSLError) else ""
+    return "ALERT" in reason and ("CERTIFICATE" in reason or "UNKNOWN_CA" in reason)
+
+
 class _TlsCaller(Caller):
     farewell = _WRONG_ROBOT
 
@@ -179,7 +203,8 @@ class _TlsCaller(Caller):
         try:
             events = self._tls.handshake()
         except OSError as error:
-            raise ChannelError(f"the TLS handshake failed: {describe(error)}") from error
+            hint = ": credentials of another dealer run?" if _is_about_a_certificate(error) else ""
+            raise ChannelError(f"the TLS handshake failed: {describe(error)}{hint}") from error
         if not events:
             require_name(self._tls, self._peer)
         return events
