@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 from spdz.channels import Channel, tcp, tls
 from spdz.channels.addresses import parse_address
+from spdz.channels.credentials import check_credentials
+from spdz.channels.telling import ignore
 from spdz.session import Session
 from spdz.tape import Tape
 
@@ -21,6 +24,7 @@ def open_session(
     wait: float = 60.0,
     timeout: float = 30.0,
     state_dir: str | Path | None = None,
+    on_event: Callable[[str], None] = ignore,
 ) -> Session:
     """Open a tape and connect to the peer that it was dealt for, over mutually authenticated TLS 1.3.
 
@@ -33,9 +37,12 @@ def open_session(
         wait: Seconds to wait for the peer to appear.
         timeout: Seconds that one round may take.
         state_dir: Where the second record of what was used is kept (default: the user's state folder).
+        on_event: Called with a sentence when this side listens, and when the reason changes why there is no
+            connection yet, or why a caller was refused.
 
     Raises:
-        ValueError: unless exactly one of ``listen`` and ``connect`` is given.
+        ValueError: unless exactly one of ``listen`` and ``connect`` is given, or if the credentials are not
+            those of the robot that the tape names.
         TapeError: if the tape is damaged, in use, destroyed, or does not match the peer's.
         ChannelError: if there is no connection within ``wait`` seconds, or the peer is not who it
             should be.
@@ -47,10 +54,12 @@ def open_session(
         own = path.parent if credentials is None else Path(credentials)
         if insecure:
             reach = tcp.connect if listen is None else tcp.listen
-            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait)
+            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait, on_event=on_event)
         else:
+            check_credentials(own, opened.header.name)
             meet = tls.connect if listen is None else tls.listen
-            channel = meet(listen or connect or "", own, opened.header.peer, timeout=timeout, wait=wait)
+            peer = opened.header.peer
+            channel = meet(listen or connect or "", own, peer, timeout=timeout, wait=wait, on_event=on_event)
     except BaseException:
         opened.close()
         raise
