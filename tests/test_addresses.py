@@ -116,7 +116,8 @@ def test_addresses_are_host_and_port(address, parts):
 
 
 @pytest.mark.parametrize(
-    "address", ["", "host", "host:", ":9000", "host:-1", "host:65536", "host:९", "::1:9000", "[]:1"]
+    "address",
+    ["", "host", "host:", ":9000", "host:-1", "host:65536", "host:९", "::1:9000", "[]:1", "ho\x1b[2Jst:1"],
 )
 def test_malformed_addresses_are_refused(address):
     for meeting in (tcp.listen, tcp.connect):

@@ -80,6 +80,15 @@ def test_a_reason_is_told_when_it_changes():
     assert told == ["first", "second", "third"]
 
 
+def test_a_reason_that_lasts_is_not_told_again(monkeypatch):
+    told, now = [], [0.0]
+    monkeypatch.setattr(telling.time, "monotonic", lambda: now[0])
+    teller = Teller(told.append)
+    for now[0] in (0.0, 100.0, 200.0):
+        teller.tell("first")
+    assert told == ["first"]
+
+
 def test_reasons_that_take_turns_are_told_now_and_then_only(monkeypatch):
     told, now = [], [0.0]
     monkeypatch.setattr(telling.time, "monotonic", lambda: now[0])
@@ -191,7 +200,7 @@ def test_a_wait_is_told_as_what_is_left_of_it(monkeypatch):
             raise addresses.NotYet(os.strerror(code), "it cannot")
         return "done"
 
-    assert addresses.patiently(attempt, 160.0, lambda last: last, Teller(told.append), "") == "done"
+    assert addresses.patiently(attempt, 159.99987, lambda last: last, Teller(told.append), "") == "done"
     assert told == [
         "it cannot yet (Address already in use); trying again for up to 60 s",
         "it cannot yet (Cannot assign requested address); trying again for up to 40 s",

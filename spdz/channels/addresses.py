@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import TypeAlias, TypeVar
 
 from spdz.channels.base import LONGEST_SLEEP
-from spdz.channels.telling import Teller, ignore, printable
+from spdz.channels.telling import Teller, ignore
 from spdz.errors import ChannelError
 
 RETRY_SECONDS = 0.1
@@ -78,6 +78,8 @@ def parse_address(address: str) -> tuple[str, int]:
         ValueError: if it is none of these.
     """
     host, colon, port = address.rpartition(":")
+    if not address.isprintable():
+        raise ValueError(f"an address is made of printable characters, not {address!r}")
     bracketed = host.startswith("[") and host.endswith("]")
     if not colon or not port.isascii() or not port.isdigit() or int(port) > 65535:
         raise ValueError(f"an address is host:port with a port from 0 to 65535, not {address!r}")
@@ -103,7 +105,7 @@ def resolve(address: str, seconds: float, on_slow: Callable[[str], None] = ignor
         ChannelError: if it can never be a host name.
     """
     host, port = parse_address(address)
-    what = f"{printable(host)} cannot be resolved"
+    what = f"{host} cannot be resolved"
     silence = NotYet("the resolver does not answer", what)
     try:
         if _is_numeric(host):

@@ -13,6 +13,7 @@ from decimal import Decimal
 
 _SAME_AGAIN = 5.0
 """Seconds before a reason that takes turns with another one is told again."""
+_EVER = 1e9  # a wait may be infinite
 
 
 def ignore(text: str) -> None:
@@ -55,4 +56,5 @@ class Teller:
 
     def not_yet(self, reason: str, deadline: float) -> None:
         """Tell why an attempt failed that is made again until ``deadline``, on the monotonic clock."""
-        self.tell(reason, f"; trying again for up to {in_seconds(deadline - time.monotonic())}")
+        left = math.ceil(min(deadline - time.monotonic(), _EVER))
+        self.tell(reason, f"; trying again for up to {in_seconds(left)}")
