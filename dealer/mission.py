@@ -7,6 +7,7 @@ before the mission, and absent during it.
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
 from collections.abc import Callable, Sequence
@@ -67,6 +68,7 @@ def deal_mission(
     Raises:
         ValueError: for bad names, fewer than two robots, or a count below one.
         FileExistsError: if a robot's folder exists: dealt material is never overwritten.
+        OSError: if the folder cannot be made or written.
     """
     check_agents(agents)
     if comparisons < 1:
@@ -77,9 +79,13 @@ def deal_mission(
     credentials = {agent: authority.credentials(agent) for agent in agents}
     authority.forget()
     needed = mission_bytes(agents, purpose, comparisons, security)
-    there = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
-    free = shutil.disk_usage(there).free
-    if needed > free:
+    there = next(path for path in (out.absolute(), *out.absolute().parents) if os.path.lexists(path))
+    if not there.is_dir():
+        raise NotADirectoryError(f"{there} is not a folder: choose a folder, or a new name, for --out")
+    total, _, free = shutil.disk_usage(there)
+    if (
+        total and needed > free
+    ):  # a file system that has no size, such as /proc, says for itself what it lacks
         raise ValueError(
             f"the tapes would take {in_bytes(needed)} and {in_bytes(free)} are free in {there}: deal "
             "fewer comparisons, larger tiles or a smaller max_norm"
@@ -90,7 +96,10 @@ def deal_mission(
                 f"{out / agent} exists; dealt material is never overwritten: choose another --out"
             )
     fresh = not out.exists()
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"the folder {out} cannot be made ({error.strerror}): choose another --out") from error
     try:
         for agent in agents:
             write_credentials(out / agent, credentials[agent])
