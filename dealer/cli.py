@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 from dealer import report
@@ -23,13 +22,16 @@ from dealer.plan import (
     plan_tile,
     with_dealing_seconds,
 )
+from dealer.report import Wanted
 from protocols.catalog import Purpose
 from protocols.scores import SCORES
 from spdz.command import CommandParser, run_command, say_error, wants_json
 from spdz.fixed_point import MAX_NORM
 from spdz.progress import progress_bar
+from spdz.version import __version__
 
 _NAME = "python -m spdz.dealer"
+_SPARE = 3  # interruptions that maps are dealt for unless the user says otherwise
 
 _EPILOG = """\
 examples:
@@ -41,6 +43,10 @@ examples:
 
   and deal for it, with the tile that the plan marks:
     python -m spdz.dealer --agents alice bob --score S10 --dim 1200 --maps 200x300 --max-norm 1 --out mission/
+
+  and for ten such meetings over a bad radio, with room for 20 interruptions in all:
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1200 --maps 200x300 --meetings 10 --spare 20 \\
+        --max-norm 1 --out mission/
 
   three robots, every pair; jobs of 16 x 16 descriptors, which send each descriptor once:
     python -m spdz.dealer --agents alice bob carol --score S10 --dim 1200 \\
@@ -87,7 +93,13 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = arguments.add_argument
-    add("--agents", nargs="+", required=True, metavar="NAME", help="two or more robots; every pair is dealt")
+    add(
+        "--agents",
+        nargs="+",
+        required=True,
+        metavar="NAME",
+        help="two or more robots; every pair is dealt; the one that is named earlier is the pair's first",
+    )
     add("--score", type=score, required=True, metavar="S", help="score function, S1 to S10 (see below)")
     add("--dim", type=int, required=True, metavar="N", help="length of a descriptor")
     amount = arguments.add_mutually_exclusive_group(required=True)
@@ -96,8 +108,18 @@ def parser() -> argparse.ArgumentParser:
         "--maps",
         type=tile,
         metavar="MxK",
-        help="instead of --count (and --tile): one meeting of M descriptors of the earlier-named robot of a "
-        "pair with K of the other, all pairs",
+        help="instead of --count (and --tile): at most M descriptors of a pair's first robot meet at most K "
+        "of its second, all with all (--agents alice bob --maps 200x300: 200 of alice's, 300 of bob's). A "
+        "larger map costs a whole row of tiles more",
+    )
+    add("--meetings", type=int, metavar="N", help="how many times such maps are matched (default 1)")
+    add(
+        "--spare",
+        type=int,
+        metavar="S",
+        help="deal spare jobs for S interruptions of the radio, in all meetings together (default "
+        f"{_SPARE} with --maps, 0 with --count; 0: none). One interruption costs the jobs under way, at most "
+        "twice those that share rounds; the plan says how many",
     )
     add(
         "--security",
@@ -129,9 +151,10 @@ def parser() -> argparse.ArgumentParser:
         "bits less than half as large)",
     )
     add("--plan", action="store_true", help="show what it will cost, tile by tile; deal and write nothing")
-    add("--out", type=Path, metavar="DIR", help="folder to write the robots' folders into")
+    add("--out", type=Path, metavar="DIR", help="folder to write the robots' folders into; made if missing")
     add("--json", action="store_true", help="print JSON instead of text: one object, or one for each tile")
     add("--quiet", action="store_true", help="no progress bar and no notes")
+    add("--version", action="version", version=f"spdz {__version__}")
     return arguments
 
 
@@ -146,6 +169,8 @@ def _run(words: Sequence[str]) -> int:
     options = arguments.parse_args(words)
     if options.out is None and not options.plan:
         arguments.error("say where to write with --out DIR, or ask for a --plan")
+    if options.meetings is not None and options.maps is None:
+        arguments.error("--meetings says how many times --maps meet: give --maps, or a larger --count")
     try:
         check_agents(options.agents)
         if options.count is not None and options.count < 1:
@@ -163,9 +188,16 @@ def _run(words: Sequence[str]) -> int:
         else:
             _deal(options, purpose)
     except (ValueError, OSError) as error:
-        say_error(_NAME, type(error).__name__, str(error), as_json=options.json)
+        say_error(_NAME, type(error).__name__, _sentence(error), as_json=options.json)
         return 2
     return 0
+
+
+def _sentence(error: Exception) -> str:
+    """What the system says of a file, without its number and Python's quotes."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
 
 
 def _note(options: argparse.Namespace, text: str | None) -> None:
@@ -173,17 +205,25 @@ def _note(options: argparse.Namespace, text: str | None) -> None:
         print(f"note: {text}", file=sys.stderr)
 
 
+def _wanted(options: argparse.Namespace) -> Wanted:
+    spare = options.spare if options.spare is not None else _SPARE * (options.maps is not None)
+    meetings = 1 if options.meetings is None else options.meetings
+    return Wanted(options.agents, options.maps, meetings, spare)
+
+
 def _plans(
     options: argparse.Namespace, purpose: Purpose
 ) -> tuple[list[TilePlan | Impossible], TilePlan, str]:
     """All plans, the picked one, and why."""
+    wanted = _wanted(options)
+    room = {"meetings": wanted.meetings, "interruptions": wanted.interruptions}
     if options.maps is not None and options.tile is None:
-        plans = plan_maps(options.agents, purpose, options.maps, options.security)
+        plans = plan_maps(options.agents, purpose, options.maps, options.security, **room)
         return plans, *pick(plans)
     jobs = (
         -(-options.count // purpose.pairs) if options.maps is None else jobs_for(options.maps, purpose.tile)
     )
-    plan = plan_tile(options.agents, purpose, jobs, options.maps, options.security)
+    plan = plan_tile(options.agents, purpose, jobs, options.maps, options.security, **room)
     return [plan], plan, "the tile that was given" if options.tile else "the default; --tile gives another"
 
 
@@ -193,20 +233,19 @@ def _show(options: argparse.Namespace, purpose: Purpose) -> None:
     if options.json:
         lines = report.as_json(plans, picked, why, purpose, options.security)
     else:
-        couples = len(list(combinations(options.agents, 2)))
         dealt = replace(purpose, tile=picked.tile)
         total = mission_bytes(options.agents, dealt, picked.comparisons, options.security)
-        lines = report.as_text(plans, picked, why, purpose, options.security, total, couples)
+        lines = report.as_text(plans, picked, why, purpose, options.security, _wanted(options), total)
     for line in lines:
         print(line, flush=True)
 
 
 def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
     started = time.perf_counter()
-    count = options.count
+    wanted = _wanted(options)
+    _, picked, why = _plans(options, purpose)
+    purpose, count = replace(purpose, tile=picked.tile), picked.comparisons
     if options.maps is not None:
-        _, picked, why = _plans(options, purpose)
-        purpose, count = replace(purpose, tile=picked.tile), picked.comparisons
         _note(options, f"jobs of {picked.tile[0]} x {picked.tile[1]} descriptors: {why}")
     size = mission_bytes(options.agents, purpose, count, options.security)
     if size > 100e6:
@@ -220,6 +259,9 @@ def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
                 {
                     "comparisons": dealt.comparisons,
                     "jobs": dealt.jobs,
+                    "spare_jobs": picked.spare_jobs,
+                    "meetings": wanted.meetings if wanted.maps else None,
+                    "interruptions": wanted.interruptions,
                     "pairs": dealt.pairs,
                     "tile": list(purpose.tile),
                     "security": options.security,
@@ -233,6 +275,7 @@ def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
     print(f"dealt {each}, {options.security}, in {seconds:.1f} s")
     for folder, size in dealt.folders.items():
         print(f"  {folder}: {size / 1e6:.3f} MB")
+    print(report.enough_for(picked, wanted))
     print("copy each folder to its robot, and keep no other copy of it")
 
 

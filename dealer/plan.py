@@ -1,7 +1,7 @@
 """What a mission will cost with one tile or another, before anything is dealt.
 
 Jobs, rounds, bytes sent and bytes on the disk are exact; memory and times are estimates. A tile is picked by
-what a radio link and a disk have to carry.
+what a radio link that may break and a disk have to carry.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dealer.recipe import deal_job
 from dealer.tapes import tape_bytes
 from protocols.batching import DEALT_BYTES
 from protocols.catalog import Purpose
-from protocols.costs import bytes_sent, job_cost, matching_memory, rounds
+from protocols.costs import bytes_sent, job_cost, matching_memory, most_jobs_lost, rounds
 from protocols.memory import in_bytes
 from spdz.meter import Plan, measure
 from spdz.types import Security
@@ -40,12 +40,17 @@ _ABSURD_PAIR = 8_000_000  # bytes a pair, from which on S1 and S2 come with a wa
 class TilePlan:
     """What one pair of robots needs with one tile. Pairs are (party 0, party 1), the order of the names.
 
+    A meeting is one ``match`` of both maps; where comparisons were counted, one ``match`` of them all.
+
     Attributes:
         tile: Descriptors of either robot in a job.
-        jobs: Jobs to deal.
+        jobs: Jobs to deal in all: of every meeting, and the spare ones.
         comparisons: Comparisons in these jobs, those that fill up border tiles included.
+        meeting_jobs: Jobs of one meeting that nothing interrupts.
+        spare_jobs: Jobs to deal beyond all meetings, for interruptions.
+        lost_jobs: Jobs that one interruption costs at most.
         together: Jobs that ``match`` runs in the same rounds.
-        rounds: Rounds of matching all of it in one go.
+        rounds: Rounds of one meeting in one go.
         bytes_sent: What either robot sends then, frame headers included, TLS and TCP not.
         tape_bytes: Sizes of the tape files.
         job_bytes: What the larger tape stores for one job.
@@ -53,12 +58,15 @@ class TilePlan:
         matching_memory: Bytes of memory to match, the needier robot's, an estimate.
         dealing_seconds: On this machine, writing to the disk not counted, extrapolated from single jobs;
             None where that was not asked for.
-        link_seconds: Of rounds and bytes on the link above.
+        link_seconds: Of rounds and bytes of one meeting on the link above.
     """
 
     tile: tuple[int, int]
     jobs: int
     comparisons: int
+    meeting_jobs: int
+    spare_jobs: int
+    lost_jobs: int
     together: int
     rounds: int
     bytes_sent: tuple[int, int]
@@ -68,6 +76,11 @@ class TilePlan:
     matching_memory: int
     dealing_seconds: float | None
     link_seconds: float
+
+    @property
+    def interrupted_seconds(self) -> float:
+        """Of one meeting on the link above with one interruption, at worst."""
+        return self.link_seconds * (1 + self.lost_jobs / self.meeting_jobs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,34 +109,50 @@ def candidate_tiles(maps: tuple[int, int]) -> list[tuple[int, int]]:
 
 
 def plan_tile(
-    agents: Sequence[str], purpose: Purpose, jobs: int, maps: tuple[int, int] | None, security: Security
+    agents: Sequence[str],
+    purpose: Purpose,
+    jobs: int,
+    maps: tuple[int, int] | None,
+    security: Security,
+    *,
+    meetings: int = 1,
+    interruptions: int = 0,
 ) -> TilePlan:
     """The plan for the tile of a purpose, without a time for dealing.
 
     Args:
         agents: The robots' names.
         purpose: What the tapes are for.
-        jobs: Jobs to deal.
+        jobs: Jobs of one meeting.
         maps: Descriptors of either robot; as many as one batch has if not given.
         security: The security model.
+        meetings: How many times such maps meet.
+        interruptions: How many there shall be room for, in all meetings together.
 
     Raises:
-        ValueError: if such jobs cannot be dealt or sent.
+        ValueError: if such jobs cannot be dealt or sent, for no meeting, or fewer interruptions than none.
     """
+    if meetings < 1 or interruptions < 0:
+        raise ValueError("deal for at least one meeting, and for no fewer than 0 interruptions")
     cost = job_cost(purpose, security)
     check_job(cost.plan)
     sizes = maps or tuple(min(jobs, cost.together) * side for side in purpose.tile)
     sent, passed = bytes_sent(cost, jobs), rounds(cost, jobs)
     first, second = agents[:2]
+    lost = most_jobs_lost(cost, jobs)
+    dealt = meetings * jobs + interruptions * lost
     return TilePlan(
         tile=purpose.tile,
-        jobs=jobs,
-        comparisons=jobs * purpose.pairs,
+        jobs=dealt,
+        comparisons=dealt * purpose.pairs,
+        meeting_jobs=jobs,
+        spare_jobs=interruptions * lost,
+        lost_jobs=lost,
         together=min(jobs, cost.together),
         rounds=passed,
         bytes_sent=sent,
         tape_bytes=tape_bytes(
-            cost.plan, (first, second), purpose.shapes, jobs, security, description=purpose.as_json()
+            cost.plan, (first, second), purpose.shapes, dealt, security, description=purpose.as_json()
         ),
         job_bytes=max(cost.plan.correction_bytes),
         dealing_memory=dealing_memory(cost.plan),
@@ -134,9 +163,15 @@ def plan_tile(
 
 
 def plan_maps(
-    agents: Sequence[str], purpose: Purpose, maps: tuple[int, int], security: Security
+    agents: Sequence[str],
+    purpose: Purpose,
+    maps: tuple[int, int],
+    security: Security,
+    *,
+    meetings: int = 1,
+    interruptions: int = 0,
 ) -> list[TilePlan | Impossible]:
-    """Plans for all tiles worth considering; the purpose's own tile is not looked at.
+    """Plans for all tiles worth considering; arguments as for :func:`plan_tile`, whatever the purpose's tile.
 
     Raises:
         ValueError: if there is no tile that can be dealt.
@@ -145,7 +180,16 @@ def plan_maps(
     for tile in candidate_tiles(maps):
         try:
             candidate = replace(purpose, tile=tile)
-            plans.append(plan_tile(agents, candidate, jobs_for(maps, tile), maps, security))
+            plan = plan_tile(
+                agents,
+                candidate,
+                jobs_for(maps, tile),
+                maps,
+                security,
+                meetings=meetings,
+                interruptions=interruptions,
+            )
+            plans.append(plan)
         except ValueError as error:
             plans.append(Impossible(tile, str(error)))
     if isinstance(plans[0], Impossible) and not any(isinstance(plan, TilePlan) for plan in plans):
@@ -154,18 +198,29 @@ def plan_maps(
 
 
 def pick(plans: Sequence[TilePlan | Impossible]) -> tuple[TilePlan, str]:
-    """The tile to deal with, of those that are possible, and why."""
+    """The tile to deal with, of those that are possible, and why.
+
+    Quick is a meeting with one interruption: large tiles send less, and lose more with each.
+    """
     possible = [plan for plan in plans if isinstance(plan, TilePlan)]
     fit = [p for p in possible if p.job_bytes <= DEALT_BYTES and p.matching_memory <= ROBOT_MEMORY]
     if not fit:
         return min(possible, key=lambda plan: plan.job_bytes), "the smallest job: every job is large"
-    least = min(plan.link_seconds for plan in fit)
-    near = [plan for plan in fit if plan.link_seconds <= _NEARLY * least]
-    return min(near, key=lambda plan: (sum(plan.tape_bytes), plan.comparisons, plan.jobs)), (
-        f"within 5% of the least time on a link of {LINK_BYTES * 8 / 1e6:.0f} Mbit/s and "
-        f"{LINK_ROUND * 1e3:.0f} ms a round, and the smallest tapes of these, among jobs of at most "
-        f"{in_bytes(DEALT_BYTES)} on the tape and {in_bytes(ROBOT_MEMORY)} of memory"
+    least = min(plan.interrupted_seconds for plan in fit)
+    near = [plan for plan in fit if plan.interrupted_seconds <= _NEARLY * least]
+    picked = min(near, key=lambda plan: (sum(plan.tape_bytes), plan.comparisons, plan.jobs))
+    why = (
+        f"the quickest meeting over a link of {LINK_BYTES * 8 / 1e6:.0f} Mbit/s and {LINK_ROUND * 1e3:.0f} "
+        f"ms a round, one interruption included ({in_seconds(picked.interrupted_seconds)})"
     )
+    if len(near) > 1:
+        why += "; others are as quick (within 5%), and this one's tapes are the smallest"
+    if len(fit) < len(possible):
+        why += (
+            f"; tiles that need more than {in_bytes(DEALT_BYTES)} of tape a job, or {in_bytes(ROBOT_MEMORY)} "
+            "of a robot's memory, were left out"
+        )
+    return picked, why
 
 
 def with_dealing_seconds(
@@ -197,6 +252,11 @@ def advice(purpose: Purpose, security: Security) -> str | None:
         f"at {purpose.dim} coordinates. For bags of words, S10 of the square roots x -> sqrt(x / |x|_1) with "
         f"--max-norm 1 takes {in_bytes(less)} (docs/scores.md, bags of words)"
     )
+
+
+def in_seconds(estimate: float) -> str:
+    """A time for people."""
+    return f"{estimate:.2g} s" if estimate < 99.5 else f"{estimate:,.0f} s"
 
 
 def _seconds_a_job(purpose: Purpose, plan: Plan, security: Security) -> float:

@@ -4,24 +4,77 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from itertools import combinations, islice
 
-from dealer.plan import Impossible, TilePlan
+from dealer.plan import LINK_BYTES, LINK_ROUND, Impossible, TilePlan, in_seconds
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
 from spdz.types import Security
 
 _COLUMNS = (
     ("tile", 11),
-    ("jobs", 10),
-    ("at once", 8),
-    ("rounds", 9),
+    ("jobs", 12),
+    ("spare", 8),
     ("sent", 10),
+    ("radio", 10),
     ("tape", 10),
     ("deal", 9),
-    ("RAM deal", 10),
-    ("RAM match", 10),
+    ("memory", 10),
 )
+_LEGEND = (
+    "the columns, for one pair of robots:",
+    "  jobs    for all meetings; beside them spare ones for interruptions",
+    "  sent    in one meeting, by the robot that sends more; exact, without TLS and TCP",
+    f"  radio   time of one meeting, at {LINK_BYTES * 8 / 1e6:.0f} Mbit/s for both robots together and "
+    f"{LINK_ROUND * 1e3:.0f} ms a round",
+    "  tape    the larger of both files, spare jobs included; exact",
+    "  deal    time to deal here, estimated from single jobs, without the disk",
+    "  memory  of a robot in a meeting, estimated, beside the interpreter's 60 MB",
+)
+_NAMED = 3  # couples of robots that a sentence names
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What was asked for.
+
+    Attributes:
+        agents: The robots' names.
+        maps: Descriptors of the first and of the second robot of a pair; None where comparisons were counted.
+        meetings: How many times such maps meet.
+        interruptions: How many there shall be room for.
+    """
+
+    agents: Sequence[str]
+    maps: tuple[int, int] | None
+    meetings: int
+    interruptions: int
+
+    @property
+    def pairs(self) -> int:
+        """Pairs of robots."""
+        return len(self.agents) * (len(self.agents) - 1) // 2
+
+
+def enough_for(plan: TilePlan, wanted: Wanted) -> str:
+    """What the dealt jobs suffice for, whose map is which, and what lies beyond."""
+    lost = f"an interruption costs up to {plan.lost_jobs:,} job(s)"
+    room = (
+        f"with up to {wanted.interruptions} interruption(s) in all ({lost}; {plan.spare_jobs:,} spare)"
+        if wanted.interruptions
+        else f"and no interruption ({lost}; --spare S deals for S of them)"
+    )
+    if wanted.maps is None:
+        return f"enough for {plan.meeting_jobs:,} jobs of {plan.tile[0]} x {plan.tile[1]} comparisons, {room}"
+    m, k = wanted.maps
+    couples = [f"{m} of {a} x {k} of {b}" for a, b in islice(combinations(wanted.agents, 2), _NAMED)]
+    more = ", and so on" if wanted.pairs > _NAMED else ""
+    return (
+        f"enough for {wanted.meetings:,} meeting(s) of at most {', '.join(couples)}{more} descriptors, "
+        f"{room}; "
+        "a larger map costs a whole row of tiles more"
+    )
 
 
 def as_json(
@@ -30,11 +83,11 @@ def as_json(
     """One object a tile."""
     for plan in plans:
         fields = {**purpose.as_json(), "security": security, **asdict(plan)}
-        for name in ("dealing_seconds", "link_seconds"):
+        if isinstance(plan, TilePlan):
+            fields |= {"interrupted_seconds": plan.interrupted_seconds, "picked": plan.tile == picked.tile}
+        for name in ("dealing_seconds", "link_seconds", "interrupted_seconds"):
             if fields.get(name) is not None:
                 fields[name] = round(fields[name], 3)
-        if isinstance(plan, TilePlan):
-            fields["picked"] = plan.tile == picked.tile
         if fields.get("picked"):
             fields["reason"] = why
         yield json.dumps(fields)
@@ -46,8 +99,8 @@ def as_text(
     why: str,
     purpose: Purpose,
     security: Security,
+    wanted: Wanted,
     total: int,
-    pairs: int,
 ) -> Iterator[str]:
     """A table, the picked tile and what the columns mean; ``total`` is what all robots' tapes take."""
     opened = "the candidate bit" if purpose.reveal == "bit" else "the score"
@@ -63,30 +116,22 @@ def as_text(
             continue
         cells = (
             size,
-            f"{plan.jobs:,}",
-            f"{plan.together}",
-            f"{plan.rounds:,}",
+            f"{plan.jobs - plan.spare_jobs:,}",
+            f"{plan.spare_jobs:,}",
             in_bytes(max(plan.bytes_sent)),
+            in_seconds(plan.link_seconds),
             in_bytes(max(plan.tape_bytes)),
-            _seconds(plan.dealing_seconds),
-            in_bytes(plan.dealing_memory),
+            "-" if plan.dealing_seconds is None else in_seconds(plan.dealing_seconds),
             in_bytes(plan.matching_memory),
         )
         row = "".join(f"{cell:>{width}}" for cell, (_, width) in zip(cells, _COLUMNS, strict=True))
         yield ("* " if plan.tile == picked.tile else "  ") + row
     yield f"* {picked.tile[0]}x{picked.tile[1]}: {why}"
     yield (
-        f"with it: {picked.comparisons:,} comparisons in {picked.jobs:,} jobs for each of {pairs} pair(s) of "
-        f"robots, tapes of {in_bytes(total)} in all"
+        f"with it: {picked.comparisons:,} comparisons in {picked.jobs:,} jobs for each of {wanted.pairs} "
+        f"pair(s) of robots, tapes of {in_bytes(total)} in all; dealing needs "
+        f"{in_bytes(picked.dealing_memory)} of memory"
     )
-    yield (
-        "at once: jobs that share rounds. sent, tape: the larger of both robots', exact. deal: estimated "
-        "from single jobs, without the disk. RAM: estimates beside the interpreter's 60 MB"
-    )
+    yield enough_for(picked, wanted)
+    yield from _LEGEND
     yield "nothing was written"
-
-
-def _seconds(estimate: float | None) -> str:
-    if estimate is None:
-        return "-"
-    return f"{estimate:.2g} s" if estimate < 100 else f"{estimate:,.0f} s"

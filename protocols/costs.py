@@ -112,6 +112,15 @@ def rounds(cost: JobCost, jobs: int) -> int:
     return -(-jobs // cost.together) * cost.plan.rounds
 
 
+def most_jobs_lost(cost: JobCost, jobs: int) -> int:
+    """Jobs of a matching of so many that one interruption can cost at most.
+
+    The jobs that were under way, and as many again where one robot had already begun on the next ones when
+    the other one missed the last frame: both sets are used on one tape at least, and run again.
+    """
+    return min(jobs, 2 * cost.together)
+
+
 def bytes_sent(cost: JobCost, jobs: int) -> tuple[int, int]:
     """What either party sends in these rounds, frame headers included, TLS and TCP not."""
     batches = -(-jobs // cost.together)

@@ -52,7 +52,7 @@ def test_jobs_bytes_and_rounds_are_what_the_plan_says(tmp_path, purpose, maps, s
     done = run_pair(
         paths, state_dirs(tmp_path), lambda session: match(session, own[session.party], threshold)
     )
-    assert [matches.jobs for matches in done] == [foreseen.jobs] * 2
+    assert [matches.jobs for matches in done] == [foreseen.meeting_jobs] * 2
     assert tuple(matches.stats.bytes_sent for matches in done) == foreseen.bytes_sent
     assert [matches.stats.rounds for matches in done] == [foreseen.rounds] * 2
 
@@ -102,7 +102,7 @@ def test_the_picked_tile_keeps_jobs_small_and_the_link_quick(score):
         and p.job_bytes <= batching.DEALT_BYTES
         and p.matching_memory <= plan.ROBOT_MEMORY
     ]
-    assert picked.link_seconds <= 1.05 * min(p.link_seconds for p in alike)
+    assert picked.interrupted_seconds <= 1.05 * min(p.interrupted_seconds for p in alike)
     assert picked.tile != (1, 1) and any(p.job_bytes > batching.DEALT_BYTES for p in plans if p not in alike)
 
 
@@ -138,12 +138,16 @@ def test_a_plan_for_people_is_a_table_with_a_mark_and_a_reason(capsys):
     shown = capsys.readouterr().out
     lines = shown.splitlines()
     assert sum(line.startswith("* ") for line in lines) == 2 and "nothing was written" in lines[-1]
-    assert all(title in lines[1] for title in ("tile", "rounds", "sent", "tape", "RAM match"))
+    assert all(title in lines[1] for title in ("tile", "spare", "sent", "radio", "tape", "memory"))
 
 
 @pytest.mark.parametrize(
     ("given", "tile", "jobs"),
-    [("--count 30", [1, 1], 30), ("--count 30 --tile 4x4", [4, 4], 2), ("--maps 9x5 --tile 4x4", [4, 4], 6)],
+    [
+        ("--count 30", [1, 1], 30),
+        ("--count 30 --tile 4x4", [4, 4], 2),
+        ("--maps 9x5 --tile 4x4 --spare 0", [4, 4], 6),
+    ],
 )
 def test_with_a_tile_or_a_count_the_plan_is_for_that_alone(capsys, given, tile, jobs):
     assert cli.main(words(f"{given} --plan --json")) == 0
