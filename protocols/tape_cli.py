@@ -13,14 +13,17 @@ from protocols.catalog import Purpose
 from protocols.memory import in_bytes
 from protocols.scores import SCORES
 from spdz.errors import TapeError
-from spdz.tape import TapeHeader, TapeStatus, tape_status
+from spdz.progress import progress_bar
+from spdz.tape import TapeHeader, TapeStatus, tape_status, verify_corrections
 
 _ID_DIGITS = 12
+_LARGE = 50_000_000  # bytes of a file that takes long enough to read for a progress bar
 
 _EPILOG = """\
 examples:
   python -m spdz tape mission/alice/bob.tape      one tape
   python -m spdz tape mission/                    every tape below a folder
+  python -m spdz tape --verify mission/           and read every job that is left, to find damage
   python -m spdz tape --json ~/mission | jq .comparisons_left
 
 Public facts only, no key and nothing that was compared. The tape is not changed and not locked: look at it
@@ -29,6 +32,10 @@ of two dealer runs (mission ids) do not mix.
 
 A job is used as a whole. "Left" counts what this robot may still use; when the two robots meet, both go on
 from the one of them that has used more.
+
+Only header, state and size are checked, which is quick: a tape with a damaged job is shown as "ready", and
+the damage is found when a robot comes to that job. --verify reads all jobs that are left now: do it after
+copying a tape to its robot.
 
 Exit status: 0, or 2 if a file is missing, damaged or no tape (the others are shown all the same).
 """
@@ -46,6 +53,7 @@ def add_tape(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     add = arguments.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="tapes, or folders to look for tapes in")
     add("--state-dir", type=Path, metavar="DIR", help="where used tapes are recorded a second time")
+    add("--verify", action="store_true", help="also read every job that is left and check its checksums")
     add("--json", action="store_true", help="one JSON object a line, for each tape")
     arguments.set_defaults(run=run_tape)
 
@@ -58,7 +66,11 @@ def run_tape(options: argparse.Namespace) -> int:
             for tape in _tapes(path):
                 try:
                     status = tape_status(tape, options.state_dir)
-                    print(json.dumps(_facts(tape, status)) if options.json else _text(tape, status))
+                    if options.verify:
+                        with progress_bar(f"verifying {tape}", quiet=status.size < _LARGE) as progress:
+                            verify_corrections(tape, status, progress)
+                    facts = _facts(tape, status) | {"verified": options.verify}
+                    print(json.dumps(facts) if options.json else _text(tape, status, options.verify))
                 except TapeError as error:
                     result = _refuse(tape, type(error).__name__, str(error), as_json=options.json)
         except OSError as error:
@@ -117,7 +129,7 @@ def _facts(path: Path, status: TapeStatus) -> dict[str, Any]:
     return facts
 
 
-def _text(path: Path, status: TapeStatus) -> str:
+def _text(path: Path, status: TapeStatus, verified: bool) -> str:
     header, purpose = status.header, _purpose(status.header)
     lines = [
         f"{path}",
@@ -125,6 +137,7 @@ def _text(path: Path, status: TapeStatus) -> str:
         f"  purpose   {_shown(header, purpose)}, {header.security}",
         f"  left      {_left(status, purpose)}",
         f"  state     {_state(status)}",
+        f"  checked   header and state, {'and every job that is left' if verified else 'no job (--verify)'}",
         f"  file      {in_bytes(status.size)}, mission {header.mission[:_ID_DIGITS]}, "
         f"tape {header.tape[:_ID_DIGITS]}",
     ]

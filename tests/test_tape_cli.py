@@ -229,13 +229,13 @@ def damage(path, offset, data=b"\xff" * 16):
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [
-        (lambda path: path.unlink(), "No such file"),
+        (lambda path: path.unlink(), "no such file"),
         (lambda path: path.write_bytes(b""), "not a tape"),
         (lambda path: path.write_bytes(b"x" * 5000), "not a tape"),
         (lambda path: os.truncate(path, 9000), "truncated"),
         (lambda path: damage(path, 30), "checksum of the header"),
         (lambda path: damage(path, 4096), "makes no sense"),
-        (lambda path: (path.unlink(), os.mkfifo(path)), "cannot read"),
+        (lambda path: (path.unlink(), os.mkfifo(path)), "not a tape: a pipe"),
         (lambda path: (path.unlink(), path.mkdir()), "no *.tape"),
     ],
     ids=["missing", "empty", "foreign", "cut", "header", "state", "pipe", "empty folder"],

@@ -117,8 +117,8 @@ def test_state_of_another_tape_is_refused(path, state, tmp_path):
 
 
 def test_missing_tape_and_folder_are_tape_errors(tmp_path, state):
-    for name in ("missing.tape", "."):
-        with pytest.raises(TapeError, match="cannot open the tape"):
+    for name, says in (("missing.tape", "no such file"), (".", "is a folder")):
+        with pytest.raises(TapeError, match=says):
             Tape.open(tmp_path / name, state_dir=state)
 
 

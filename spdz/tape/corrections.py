@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from spdz.errors import TapeDamaged
+from spdz.tape.advice import replacement
 from spdz.tape.format import CHUNK, Layout, TapeHeader
 
 
 def read_corrections(
-    file: FileIO, path: Path, header: TapeHeader, layout: Layout, first: int, count: int
+    file: FileIO, path: Path, header: TapeHeader, layout: Layout, first: int, count: int, *, used: bool
 ) -> list[memoryview]:
     """The verified corrections of jobs ``first`` to ``first + count - 1``, from one contiguous read.
+
+    ``used`` tells whether any job of the tape was ever used: what to do about damage depends on it.
 
     Returns:
         One writable view a job, ``correction_bytes`` long and 16-byte aligned, still sealed.
@@ -28,9 +31,9 @@ def read_corrections(
     if size == 0:
         return [memoryview(bytearray())] * count
     data = _aligned(count * stride)
-    _fill(file, path, layout.corrections + first * stride, data)
+    _fill(file, path, layout.corrections + first * stride, data, used=used)
     table = memoryview(bytearray(4 * count * chunks))
-    _fill(file, path, layout.checksums + 4 * first * chunks, table)
+    _fill(file, path, layout.checksums + 4 * first * chunks, table, used=used)
     corrections = [data[start : start + size] for start in range(0, count * stride, stride)]
     for k, expected in enumerate(struct.unpack(f"<{count * chunks}I", table)):
         job, chunk = divmod(k, chunks)
@@ -39,17 +42,20 @@ def read_corrections(
             offset = layout.corrections + (first + job) * stride + chunk * CHUNK
             raise TapeDamaged(
                 f"{path}: the checksum of job {first + job} does not hold at byte {offset}. "
-                "Nothing was used. Copy the tape again from where it was dealt"
+                f"{replacement(used)}"
             )
     return corrections
 
 
-def _fill(file: FileIO, path: Path, offset: int, view: memoryview) -> None:
+def _fill(file: FileIO, path: Path, offset: int, view: memoryview, *, used: bool) -> None:
     file.seek(offset)
     while view:  # one read returns at most 2 GB
         got = file.readinto(view)
         if not got:
-            raise TapeDamaged(f"{path}: the tape ends at byte {offset}, before its checksums: truncated")
+            raise TapeDamaged(
+                f"{path}: the tape ends at byte {offset}, before its checksums: truncated. "
+                f"{replacement(used)}"
+            )
         view, offset = view[got:], offset + got
 
 

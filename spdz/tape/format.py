@@ -22,6 +22,7 @@ import json
 import os
 import re
 import shlex
+import stat
 import struct
 import zlib
 from collections.abc import Mapping
@@ -30,6 +31,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from spdz.errors import TapeDamaged
+from spdz.tape.advice import cannot_open, replacement
 from spdz.types import Json, Security
 
 MAGIC = b"spdztape"
@@ -42,6 +44,7 @@ MAX_HEADER = 1 << 16
 MAX_JOBS = 1 << 32
 MAX_JOB_BYTES = 1 << 40
 
+_EXAMPLE = "Give a file that the dealer wrote, such as mission/alice/bob.tape"
 _HEX = re.compile(r"[0-9a-f]{1,128}")
 
 
@@ -184,28 +187,41 @@ def read_header(descriptor: int, path: Path) -> tuple[TapeHeader, Layout]:
     Raises:
         TapeDamaged: Not a tape, another format version, a wrong digest, or the wrong size.
     """
-    size = os.fstat(descriptor).st_size
+    kind, size = os.fstat(descriptor).st_mode, os.fstat(descriptor).st_size
+    if stat.S_ISDIR(kind):
+        raise cannot_open(path, IsADirectoryError(), writing=False)
+    if not stat.S_ISREG(kind):
+        raise TapeDamaged(f"{path}: not a tape: a pipe, a device or a socket. {_EXAMPLE}")
     prefix = os.pread(descriptor, PREFIX.size, 0)
     if len(prefix) < PREFIX.size or not prefix.startswith(MAGIC):
-        raise TapeDamaged(f"{path}: not a tape: it does not start with {MAGIC!r}")
+        raise TapeDamaged(f"{path}: not a tape: it does not start with {MAGIC!r}. {_EXAMPLE}")
     _, version, length = PREFIX.unpack(prefix)
     if version != VERSION:
-        raise TapeDamaged(f"{path}: tape format {version}, but this version of spdz reads format {VERSION}")
+        raise TapeDamaged(
+            f"{path}: tape format {version}, but this version of spdz reads format {VERSION}: use the "
+            "version that dealt it, or deal anew for both robots"
+        )
     if length > MAX_HEADER:
-        raise TapeDamaged(f"{path}: the header claims {length} bytes; at most {MAX_HEADER} are allowed")
+        raise TapeDamaged(
+            f"{path}: the header claims {length} bytes; at most {MAX_HEADER} are allowed. {replacement(None)}"
+        )
     encoded = prefix + os.pread(descriptor, length + DIGEST, PREFIX.size)
     if len(encoded) != PREFIX.size + length + DIGEST or _digest(encoded[:-DIGEST]) != encoded[-DIGEST:]:
         raise TapeDamaged(
-            f"{path}: the checksum of the header (bytes 0 to {PREFIX.size + length}) does not hold"
+            f"{path}: the checksum of the header (bytes 0 to {PREFIX.size + length}) does not hold. "
+            f"{replacement(None)}"
         )
     try:
         fields: dict[str, Any] = json.loads(encoded[PREFIX.size : -DIGEST])
         header = TapeHeader(**fields)
     except (ValueError, TypeError, RecursionError) as error:
-        raise TapeDamaged(f"{path}: the header makes no sense: {error}") from error
+        raise TapeDamaged(f"{path}: the header makes no sense: {error}. {replacement(None)}") from error
     layout = Layout.of(header, encoded)
     if size != layout.end:
-        raise TapeDamaged(f"{path}: {size} bytes long instead of {layout.end}: truncated or not copied whole")
+        raise TapeDamaged(
+            f"{path}: {size} bytes long instead of {layout.end}: truncated or not copied whole. "
+            f"{replacement(None)}"
+        )
     return header, layout
 
 

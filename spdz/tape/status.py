@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spdz.errors import TapeDamaged, TapeError
+from spdz.tape.advice import cannot_open, replacement
 from spdz.tape.durable import is_locked
 from spdz.tape.format import SECTOR, Layout, TapeHeader, read_header
 from spdz.tape.high_water import default_state_dir, mark_path, read_mark
@@ -61,12 +62,14 @@ def tape_status(path: Path, state_dir: Path | None = None) -> TapeStatus:
     try:
         # O_NONBLOCK: a named pipe must not make this wait for a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        try:
-            return _status(descriptor, path, state_dir or default_state_dir())
-        finally:
-            os.close(descriptor)
+    except OSError as error:
+        raise cannot_open(path, error, writing=False) from error
+    try:
+        return _status(descriptor, path, state_dir or default_state_dir())
     except OSError as error:
         raise TapeError(f"{path}: cannot read the tape ({error.strerror})") from error
+    finally:
+        os.close(descriptor)
 
 
 def _status(descriptor: int, path: Path, folder: Path) -> TapeStatus:
@@ -78,7 +81,8 @@ def _status(descriptor: int, path: Path, folder: Path) -> TapeStatus:
     used = max(mark.cursor if mark else 0, state.cursor if state else 0)
     if (state is None and not destroyed) or used > header.jobs:
         raise TapeDamaged(
-            f"{path}: the tape's state (at byte {layout.slots}) or its high-water mark makes no sense"
+            f"{path}: the tape's state (at byte {layout.slots}) or its high-water mark makes no sense. "
+            f"{replacement(None if mark is None else mark.cursor > 0)}"
         )
     rolled_back = not in_use and state is not None and state.cursor < used
     return TapeStatus(header, layout.end, used, in_use, destroyed, rolled_back)

@@ -29,6 +29,7 @@ from types import TracebackType
 
 from spdz import prf
 from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeExhausted, TapeInUse, TapeMismatch
+from spdz.tape.advice import cannot_open, replacement
 from spdz.tape.corrections import read_corrections
 from spdz.tape.durable import try_lock, unlock
 from spdz.tape.format import Layout, TapeHeader, read_header
@@ -104,10 +105,7 @@ class Tape:
             try:
                 file = resources.enter_context(FileIO(path, "r+"))
             except OSError as error:
-                raise TapeError(
-                    f"{path}: cannot open the tape for reading and writing ({error.strerror}). "
-                    "It must be writable, because every use is recorded in it"
-                ) from error
+                raise cannot_open(path, error, writing=True) from error
             if not try_lock(file.fileno()):
                 raise TapeInUse(f"{path}: the tape is open in another process")
             header, layout = read_header(file.fileno(), path)
@@ -169,7 +167,7 @@ class Tape:
         Raises:
             ValueError: ``count`` is negative.
             TapeExhausted: Fewer are left; nothing was used.
-            TapeDamaged: A checksum does not hold; its message names job and offset. Nothing was used.
+            TapeDamaged: A checksum does not hold; its message names job and offset. No job was taken.
             TapeInUse: Called in a fork of the process that opened the tape.
             TapeError: The tape is closed, destroyed, or its state cannot be written.
         """
@@ -187,7 +185,13 @@ class Tape:
             if count == 0:
                 return []
             corrections = read_corrections(
-                self._file, self._path, self.header, self._layout, state.cursor, count
+                self._file,
+                self._path,
+                self.header,
+                self._layout,
+                state.cursor,
+                count,
+                used=state.cursor > 0,
             )
             jobs: list[Job] = []
             for chain, correction in zip(self._advance(state.cursor + count), corrections, strict=True):
@@ -260,11 +264,13 @@ class Tape:
             )
         if state is None or state.cursor > self.header.jobs:
             raise TapeDamaged(
-                f"{self._path}: the checksums of the state at byte {self._layout.slots} do not hold"
+                f"{self._path}: the checksums of the state at byte {self._layout.slots} do not hold. "
+                f"{replacement(None if mark is None else mark.cursor > 0)}"
             )
         if mark is not None and mark.cursor > self.header.jobs:
             raise TapeDamaged(
-                f"{self._path}: the high-water mark {mark.cursor} is past its {self.header.jobs} jobs"
+                f"{self._path}: the high-water mark {mark.cursor} is past its {self.header.jobs} jobs. "
+                f"{replacement(used=True)}"
             )
         self._state = state
         if mark is None or mark.cursor < state.cursor:
