@@ -83,9 +83,8 @@ def deal_mission(
     if not there.is_dir():
         raise NotADirectoryError(f"{there} is not a folder: choose a folder, or a new name, for --out")
     total, _, free = shutil.disk_usage(there)
-    if (
-        total and needed > free
-    ):  # a file system that has no size, such as /proc, says for itself what it lacks
+    has_size = total > 0  # /proc and its like have none, and say for themselves what they lack
+    if has_size and needed > free:
         raise ValueError(
             f"the tapes would take {in_bytes(needed)} and {in_bytes(free)} are free in {there}: deal "
             "fewer comparisons, larger tiles or a smaller max_norm"

@@ -69,9 +69,9 @@ def enough_for(plan: TilePlan, wanted: Wanted) -> str:
         return f"enough for {plan.meeting_jobs:,} jobs of {plan.tile[0]} x {plan.tile[1]} comparisons, {room}"
     m, k = wanted.maps
     couples = [f"{m} of {a} x {k} of {b}" for a, b in islice(combinations(wanted.agents, 2), _NAMED)]
-    more = ", and so on" if wanted.pairs > _NAMED else ""
+    more = " (and so on for the other pairs)" if wanted.pairs > _NAMED else ""
     return (
-        f"enough for {wanted.meetings:,} meeting(s) of at most {', '.join(couples)}{more} descriptors, "
+        f"enough for {wanted.meetings:,} meeting(s) of at most {', '.join(couples)} descriptors{more}, "
         f"{room}; "
         "a larger map costs a whole row of tiles more"
     )

@@ -150,7 +150,7 @@ def test_the_note_names_every_couple_of_a_few_robots_and_says_how_to_get_spare_j
     assert "no interruption" in shown and "--spare S" in shown
     few[1:4] = ["a", "b", "c", "d"]
     assert cli.main(few) == 0
-    assert "4 of a x 6 of d, and so on descriptors" in capsys.readouterr().out
+    assert "4 of a x 6 of d descriptors (and so on for the other pairs)" in capsys.readouterr().out
 
 
 def test_a_tile_of_which_an_interruption_costs_everything_is_no_quicker_for_the_pick(monkeypatch):
