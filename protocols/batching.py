@@ -14,7 +14,7 @@ DEALT_BYTES = 64 << 20
 """this many dealt bytes, which are read ahead,"""
 
 MOST_JOBS = 64
-"""and this many jobs, so that one lost batch costs little."""
+"""and this many jobs, so that a broken connection, which costs two such runs at most, costs little."""
 
 
 def jobs_together(tile: tuple[int, int], dim: int, correction_bytes: tuple[int, int]) -> int:

@@ -92,11 +92,7 @@ def run_match(options: argparse.Namespace) -> int:
                 )
             if warning := threshold_warning(Purpose.from_json(matcher.header.program), options.threshold):
                 _say(f"warning: {warning}")
-            peer = matcher.header.peer
-            where = (
-                f"listening on {options.listen} for" if options.listen else f"calling {options.connect}, for"
-            )
-            _say(f"{where} {peer}, up to {options.wait:g} s ({matcher.rule})", options.quiet)
+            _say(f"{matcher.rule}: looking for {matcher.header.peer} for {options.wait:g} s", options.quiet)
             with closing(matcher):
                 matcher.connect()
                 started = time.perf_counter()

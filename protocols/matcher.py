@@ -7,8 +7,9 @@ in the older batch if they stand in two. They can differ by no more than that wh
 last frame of a run may reach one side only. A tile that is run again for the peer keeps its first result
 here.
 
-Cost: one exchange of a few hundred bytes a batch and connection. A broken connection costs the jobs of the
-run that was under way (at most 64, or 2 MB of masked descriptors). What a peer gains by claiming to be
+Cost: one exchange of a few hundred bytes a batch and connection. A broken connection costs the jobs of at
+most two runs (of 64 jobs, or 2 MB of masked descriptors, each): one robot may be a run ahead. What a peer
+gains by claiming to be
 behind: the runs of one batch, again, at the price of jobs: repetitions in the sense of the threat model,
 within the number that was dealt.
 """
@@ -65,7 +66,8 @@ class Matcher:
         first: Number of the first batch; None for the one at which the peer is, for a robot that was
             restarted.
         on_block: Called with every block of pairs as soon as it is decided.
-        on_event: Called with a sentence whenever the connection is lost or made again.
+        on_event: Called with a sentence whenever the connection is lost or made again, and when the reason
+            changes why there is none yet.
         progress: Called with tiles done and tiles in all of the current batch.
 
     Raises:
@@ -100,6 +102,7 @@ class Matcher:
             "insecure": insecure,
             "timeout": timeout,
             "state_dir": state_dir,
+            "on_event": on_event,
         }
         self._tape, self._wait, self._threshold = tape, wait, threshold
         with Tape.open(tape, state_dir=None if state_dir is None else Path(state_dir)) as opened:

@@ -188,7 +188,8 @@ def test_an_interrupt_ends_a_command_in_one_line(mission, number):
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a shell's background
     )
-    assert "listening on 127.0.0.1" in process.stderr.readline()
+    while "listening on 127.0.0.1" not in (line := process.stderr.readline()):
+        assert line
     process.send_signal(number)
     _, err = process.communicate(timeout=20)
     assert process.returncode == 130

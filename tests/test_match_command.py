@@ -42,7 +42,8 @@ def start(folder, robot, where, *extra):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored in a shell's background
     )
     if "--listen" in where:
-        assert "listening on" in process.stderr.readline()
+        while "listening on" not in (line := process.stderr.readline()):
+            assert line
     return process
 
 

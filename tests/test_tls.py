@@ -24,7 +24,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 
 from dealer.pki import MissionAuthority, write_credentials
 from spdz.channels import tcp, tls
+from spdz.channels.frames import DType, FrameReader
 from spdz.channels.reception import MAX_HANDSHAKES, Reception
+from spdz.channels.socket_channel import _lost
 from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted
 
 
@@ -234,3 +236,22 @@ def test_closing_sends_close_notify(folders):
     with b:
         a.close()
         assert read_raw(b).startswith(b"\x17\x03\x03")  # an encrypted record, and then the end
+
+
+@pytest.mark.parametrize(
+    ("reason", "passing"),
+    [
+        ("SSLV3_ALERT_BAD_RECORD_MAC", True),
+        ("DECRYPTION_FAILED_OR_BAD_RECORD_MAC", True),
+        ("TLSV1_ALERT_DECODE_ERROR", True),
+        ("SSLV3_ALERT_BAD_CERTIFICATE", False),
+        ("TLSV1_ALERT_UNKNOWN_CA", False),
+        ("TLSV13_ALERT_CERTIFICATE_REQUIRED", False),
+    ],
+)
+def test_a_damaged_line_may_pass_and_a_refused_certificate_does_not(reason, passing):
+    error = ssl.SSLError(1, reason)
+    error.reason = reason
+    reader = FrameReader(CONTROL, DType.BYTES, 0, 0, None, 100)
+    assert _lost(error, reader).passing is passing
+    assert ("certificate" in str(_lost(error, reader))) is not passing

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import select
-import ssl
 import time
 
 from spdz.channels.base import DEFAULT_TIMEOUT, Channel, remaining
 from spdz.channels.frames import MAX_FRAME, FrameReader, merge_small
-from spdz.channels.stream import Stream, describe
+from spdz.channels.stream import Stream, describe, is_about_a_certificate
 from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout
 
 _SLICE = 256 << 10  # bytes offered to one send, so that both directions take turns
@@ -117,7 +116,7 @@ def _lost(error: OSError, reader: FrameReader) -> ChannelError:
     """The error of a broken connection, in this package's terms."""
     if isinstance(error, TimeoutError):  # TCP itself gave up: ETIMEDOUT
         return ChannelTimeout(f"the network does not reach the peer any more ({reader.progress()})")
-    if isinstance(error, ssl.SSLError) and "ALERT" in (error.reason or ""):
+    if is_about_a_certificate(error):
         return ChannelClosed(
             f"the peer refused this side's TLS connection or certificate ({error.reason}): are both robots' "
             "credentials from the same run of the dealer?",

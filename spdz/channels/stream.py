@@ -9,6 +9,7 @@ import ssl
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import TypeGuard
 
 from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.telling import in_seconds
@@ -140,3 +141,11 @@ def describe(error: OSError) -> str:
     if isinstance(error, ssl.SSLError) and error.reason:
         return error.reason.replace("_", " ").lower()
     return error.strerror or str(error) or type(error).__name__
+
+
+def is_about_a_certificate(error: OSError) -> TypeGuard[ssl.SSLError]:
+    """Whether a certificate was not accepted: the other side's here, or this side's there (RFC 8446, 6.2)."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return True
+    reason = (error.reason or "") if isinstance(error, ssl.SSLError) else ""
+    return "ALERT" in reason and ("CERTIFICATE" in reason or "UNKNOWN_CA" in reason)

@@ -19,7 +19,7 @@ from spdz.channels.frames import MAX_FRAME, AbortReason, pack_abort
 from spdz.channels.listening import open_listener
 from spdz.channels.reception import Caller, receive
 from spdz.channels.socket_channel import SocketChannel
-from spdz.channels.stream import complete, describe
+from spdz.channels.stream import complete, describe, is_about_a_certificate
 from spdz.channels.tcp import DEFAULT_WAIT
 from spdz.channels.telling import Teller, ignore
 from spdz.channels.tls_stream import TlsStream
@@ -28,6 +28,9 @@ from spdz.errors import ChannelError
 CA_FILE = "ca.pem"
 CERTIFICATE_FILE = "cert.pem"
 KEY_FILE = "key.pem"
+
+_ANOTHER_PROTOCOL = ("VERSION", "PROTOCOL", "HTTP")
+"""In OpenSSL's reasons where the other side speaks something else. Others may come of a damaged line."""
 
 _WRONG_ROBOT = pack_abort(AbortReason.WRONG_ROBOT, 0, 0)
 
@@ -175,20 +178,15 @@ def _shake_hands(stream: TlsStream, timeout: float) -> None:
     try:
         complete(stream, stream.handshake, timeout, "the TLS handshake")
     except ssl.SSLError as error:
+        another = any(word in (error.reason or "") for word in _ANOTHER_PROTOCOL)
+        if not (another or is_about_a_certificate(error)):
+            raise NotYet(f"the TLS handshake broke: {describe(error)}") from error
         raise ChannelError(
             f"the TLS handshake failed: {describe(error)}. Do both robots have credentials from the same run "
             "of the dealer, and does the other side speak TLS?"
         ) from error
     except OSError as error:
         raise NotYet(f"the connection ended before the TLS handshake did: {describe(error)}") from error
-
-
-def _is_about_a_certificate(error: OSError) -> bool:
-    """Whether a certificate was not accepted: the other side's here, or this side's there (RFC 8446, 6.2)."""
-    if isinstance(error, ssl.SSLCertVerificationError):
-        return True
-    reason = (error.reason or "") if isinstance(error, ssl.SSLError) else ""
-    return "ALERT" in reason and ("CERTIFICATE" in reason or "UNKNOWN_CA" in reason)
 
 
 class _TlsCaller(Caller):
@@ -203,7 +201,7 @@ class _TlsCaller(Caller):
         try:
             events = self._tls.handshake()
         except OSError as error:
-            hint = ": credentials of another dealer run?" if _is_about_a_certificate(error) else ""
+            hint = ": credentials of another dealer run?" if is_about_a_certificate(error) else ""
             raise ChannelError(f"the TLS handshake failed: {describe(error)}{hint}") from error
         if not events:
             require_name(self._tls, self._peer)
