@@ -207,6 +207,12 @@ def test_a_wait_is_told_as_what_is_left_of_it(monkeypatch):
     ]
 
 
+def test_a_wait_without_end_can_be_told():
+    told = []
+    Teller(told.append).not_yet("it cannot yet", float("inf"))
+    assert len(told) == 1 and told[0].startswith("it cannot yet; trying again")
+
+
 # --- listening
 
 
