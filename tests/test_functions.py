@@ -241,6 +241,7 @@ def test_signs(security):
 @given(data=st.data(), bits=st.integers(1, 80), frac=st.integers(0, 40), which=st.sampled_from(FUNCTIONS))
 def test_roots_and_reciprocals(security, data, bits, frac, which):
     function, alpha, error = which.values
+    bits -= bits == 80 and frac % 2 == 1 and alpha != -1  # an odd number of fractional bits takes one more
     bound = (1 << bits) - 1
     length = st.integers(0, bits - 1).flatmap(lambda k: st.integers(1 << k, (2 << k) - 1))
     u = integers(*data.draw(st.lists(st.one_of(length, st.just(0)), min_size=1, max_size=4)))
