@@ -49,7 +49,13 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     where.add_argument("--listen", metavar="HOST:PORT", help="accept the other robot here")
     where.add_argument("--connect", metavar="HOST:PORT", help="reach the other robot there")
     add("--descriptors", type=Path, required=True, metavar="FILE.npy", help="array of shape (n, N)")
-    add("--threshold", type=float, help="public; the same on both sides (omit if the tapes reveal scores)")
+    add(
+        "--threshold",
+        type=float,
+        metavar="T",
+        help="public, the same on both sides: a match is a similarity of at least T, or a distance of at most "
+        "T (squared for S5 and S6); leave it out if the tapes reveal scores",
+    )
     add("--credentials", type=Path, metavar="DIR", help="folder of the certificates (default: the tape's)")
     add("--wait", type=float, default=60.0, metavar="S", help="seconds to look for the other robot (60)")
     add("--timeout", type=float, default=30.0, metavar="S", help="seconds that one round may take (30)")
