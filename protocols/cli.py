@@ -53,8 +53,8 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--threshold",
         type=float,
         metavar="T",
-        help="public, the same on both sides: a match is a similarity of at least T, or a distance of at most "
-        "T (squared for S5 and S6); leave it out if the tapes reveal scores",
+        help="public, the same on both sides: a match is a similarity of at least T, or a distance of at "
+        "most T (squared for S5 and S6); leave it out if the tapes reveal scores",
     )
     add("--credentials", type=Path, metavar="DIR", help="folder of the certificates (default: the tape's)")
     add("--wait", type=float, default=60.0, metavar="S", help="seconds to look for the other robot (60)")
