@@ -7,3 +7,9 @@ from channel_helpers import folders, pair  # noqa: F401  # fixtures
 @pytest.fixture(autouse=True)
 def _own_state_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "xdg-state"))
+
+
+@pytest.fixture
+def quick_disk(monkeypatch):
+    """For tests of many small sessions: nothing waits for the disk."""
+    monkeypatch.setattr("spdz.tape.durable.os.fsync", lambda descriptor: None)

@@ -103,3 +103,27 @@ def robots(folder, paths, link, work, *, first_pause=1e-3, **options):
         with ThreadPoolExecutor(2) as pool:
             futures = [pool.submit(robot, party) for party in (0, 1)]
             return [future.result(timeout=60) for future in futures]
+
+
+BATCHES = (
+    [unit(k, n) for k, n in enumerate((3, 0, 2, 1))],
+    [unit(10 + k, n) for k, n in enumerate((4, 2, 5, 2))],
+)
+
+
+def expected(k, party):
+    rows = [np.rint(side[k] * 65536).astype(object) for side in BATCHES]
+    table = (rows[0] @ rows[1].T >= 0.2 * 2**32).astype(bool)
+    return table.T if party else table
+
+
+def all_batches(one, party):
+    return [one.match(batch) for batch in BATCHES[party]]
+
+
+def check_all(results):
+    for party, result in enumerate(results):
+        assert not isinstance(result, Exception), result
+        for k, matches in enumerate(result):
+            assert matches.batch == k and matches.complete
+            assert np.array_equal(matches.decisions, expected(k, party)), (party, k)
