@@ -77,6 +77,8 @@ class Matches:
     def blocks(self) -> list[tuple[range, range]]:
         """Which pairs have been decided, as few rectangles: (own positions, the peer's positions)."""
         found, start = [], 0
+        if not self.decided.size:
+            return []
         changes = np.flatnonzero((self.decided[1:] != self.decided[:-1]).any(axis=1)) + 1
         for stop in [*changes.tolist(), len(self.decided)]:
             edges = np.flatnonzero(np.diff(self.decided[start].astype(np.int8), prepend=0, append=0)).tolist()
@@ -104,12 +106,16 @@ class Batch:
     def __init__(self, number: int, own: npt.NDArray[Any], purpose: Purpose, party: int) -> None:
         self.number, self.token, self.met, self.done = number, secrets.token_hex(8), "", 0
         self._own, self._purpose, self._party = own, purpose, party
-        self._stats, self._jobs = Stats(), 0
+        self._stats, self._jobs, self._ended = Stats(), 0, False
         self._lay_out(0)
 
     def __len__(self) -> int:
         """Own descriptors."""
         return len(self._own)
+
+    def holds(self, own: npt.NDArray[Any]) -> bool:
+        """Whether these are its own descriptors."""
+        return bool(np.array_equal(self._own, own))
 
     @property
     def tiles(self) -> int:
@@ -141,7 +147,7 @@ class Batch:
                 It also bounds what a peer's number makes this side allocate.
         """
         before = self._decided.shape[1]
-        if count != before and self._decided.any():
+        if count != before and (self._ended or self._decided.any()):
             raise OutOfStep(
                 f"the peer's batch {self.number} had {before} descriptors, and now it has {count}: a robot "
                 "that was restarted goes on with the same batch"
@@ -196,6 +202,7 @@ class Batch:
                 )
                 self.done += 1
             yield self.done
+        self._ended = True
 
     def _lay_out(self, count: int) -> None:
         """Cover all pairs with tiles; nothing is decided."""

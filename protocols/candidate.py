@@ -18,6 +18,7 @@ import numpy as np
 
 from protocols.scores import Score
 from spdz import Engine, Value, nonnegative
+from spdz.plans import unchanging
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +41,7 @@ class Candidate:
         """The score's."""
         return self.score.max_norm
 
+    @unchanging
     async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
         """One comparison of the score with the threshold."""
         z = await self.score(engine, x, y)

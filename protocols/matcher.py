@@ -29,7 +29,7 @@ from protocols.catalog import Purpose
 from protocols.matching import check_descriptors
 from protocols.position import Offer, Position, meeting
 from spdz.connect import check_where, open_session
-from spdz.errors import ChannelError, OutOfStep, SpdzError, TapeExhausted
+from spdz.errors import ChannelError, OutOfStep, PeerAborted, SpdzError, TapeExhausted
 from spdz.session import Session
 from spdz.tape import Tape, TapeHeader
 from spdz.turn import Turn
@@ -64,7 +64,7 @@ class Matcher:
         timeout: Seconds that one round may take.
         state_dir: Where the second record of what was used is kept (default: the user's state folder).
         first: Number of the first batch; None for the one at which the peer is, for a robot that was
-            restarted.
+            restarted and whose batches are a stream of what is new: its next descriptors are that batch then.
         on_block: Called with every block of pairs as soon as it is decided.
         on_event: Called with a sentence whenever the connection is lost or made again, and when the reason
             changes why there is none yet.
@@ -116,7 +116,7 @@ class Matcher:
         self._number: int | None = first
         self._current: Batch | None = None
         self._previous: Batch | None = None
-        self._progressed = False
+        self._progressed = self._met = False
         self._turn = Turn("matcher")
 
     def __repr__(self) -> str:
@@ -187,7 +187,14 @@ class Matcher:
         """
         own = check_descriptors(self._purpose, self._program, descriptors)
         with self._turn:
-            self._current = Batch(self._number or 0, own, self._purpose, self._header.party)
+            broken = self._current
+            if broken is None or not broken.matches.pairs:
+                self._current = Batch(self._number or 0, own, self._purpose, self._header.party)
+            elif not broken.holds(own):
+                raise ValueError(
+                    f"batch {broken.number} was broken off with {broken.matches.pairs} pairs decided: go on "
+                    "with it, by resume() or with the same descriptors"
+                )
             return self._finished()
 
     def resume(self) -> Matches:
@@ -217,6 +224,7 @@ class Matcher:
             SpdzError: if the peer cheats.
         """
         with self._turn:
+            self._current = None  # what was given up is not run any more
             if self._previous is None:
                 return
             try:
@@ -228,10 +236,10 @@ class Matcher:
 
     def close(self) -> None:
         """Hang up; safe to call twice."""
-        if self._session is not None:
-            self._session.close()
-            self._remaining = self._session.remaining
-            self._session = None
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+            self._remaining = session.remaining
 
     def _see_through(self, wait: float, work: Callable[[Session], None]) -> None:
         """Do the work, over as many connections as it takes, while something goes on within ``wait``."""
@@ -244,29 +252,42 @@ class Matcher:
                 work(session)
                 return
             except (ChannelError, OutOfStep) as error:
-                self.close()
+                passing = self._may_pass(error, reached)
+                self._hang_up(None if passing else error)
                 now = time.monotonic()
                 if self._progressed:
                     deadline, pause = now + wait, _FIRST_PAUSE
                 # What could not be reached was looked for until the deadline, or nearly.
-                if (
-                    not _passing(error)
-                    or now + max(pause, 0.0 if reached else min(1.0, wait / 2)) >= deadline
-                ):
+                rest = pause if reached else max(pause, min(1.0, wait / 2))
+                if not passing or now + rest >= deadline:
                     raise
                 what = "lost" if reached else "could not reach"
                 self._on_event(
                     f"{what} {self._header.peer} ({error}); trying again for up to {deadline - now:.3g} s"
                 )
-            except BaseException:
-                self.close()
+            except BaseException as error:
+                self._hang_up(error)
                 raise
             time.sleep(pause)
             pause = min(2 * pause, _LONGEST_PAUSE)
 
+    def _may_pass(self, error: ChannelError | OutOfStep, reached: bool) -> bool:
+        """Whether the peer may be back, or be the one that answers next time."""
+        if isinstance(error, OutOfStep):  # one that was restarted has been told where this side is
+            return error.here is not None and error.there is not None and error.here > error.there
+        somebody_else = self._met and not reached and not isinstance(error, PeerAborted)
+        return error.passing or somebody_else
+
+    def _hang_up(self, error: BaseException | None) -> None:
+        """Close the session; the peer is told of an error that is for good."""
+        if error is not None and self._session is not None:
+            self._session.abandon(error)
+        self.close()
+
     def _connected(self, wait: float) -> Session:
         if self._session is None:
             self._session = open_session(self._tape, wait=wait, **self._where)
+            self._met = True
             self._on_event(f"connected to {self._header.peer}")
         return self._session
 
@@ -292,10 +313,3 @@ class Matcher:
                     self._progress(tiles, batch.tiles)
             if batch is self._current:
                 return
-
-
-def _passing(error: ChannelError | OutOfStep) -> bool:
-    """Whether the peer may be back: also one that was restarted, and has been told where this side is."""
-    if isinstance(error, OutOfStep):
-        return error.here is not None and error.there is not None and error.here > error.there
-    return error.passing

@@ -50,6 +50,7 @@ class Score:
     formula: Callable[[Engine, Value, Value], Awaitable[Value]]
     max_norm: float = MAX_NORM
 
+    @unchanging
     async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
         """Run the formula."""
         return await result_of("score", self.formula, engine, x, y)

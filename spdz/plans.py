@@ -2,7 +2,8 @@
 
 Reading a program for its plan costs about as much as running it once, so the plans of the last few are kept:
 under everything that a program is made of, and only where nothing of that can change. A frozen dataclass of
-numbers, names, functions that are declared :func:`unchanging`, and more of the same is kept. Any other
+numbers, names and more of the same is kept, if its ``__call__`` and the functions in its fields are declared
+:func:`unchanging`. Any other
 program (a function, which may read what has changed since; an array among the fields) is read anew for each
 run.
 """
@@ -64,6 +65,14 @@ class Plans:
         return plan
 
 
+def _is_unchanging(kind: Any) -> bool:
+    """Whether a dataclass is frozen, and what its instances do when called is declared unchanging."""
+    if not kind.__dataclass_params__.frozen:
+        return False
+    call = next((vars(base)["__call__"] for base in kind.__mro__ if "__call__" in vars(base)), None)
+    return call is None or getattr(call, _MARK, False)
+
+
 def constants(value: Any) -> Hashable | None:
     """Everything that ``value`` is made of, or None if any of it can change.
 
@@ -76,7 +85,7 @@ def constants(value: Any) -> Hashable | None:
         return kind, value
     if kind is tuple:
         parts = [constants(part) for part in value]
-    elif is_dataclass(kind) and kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+    elif is_dataclass(kind) and _is_unchanging(kind):
         parts = [constants(getattr(value, field.name)) for field in fields(kind)]
         if hasattr(value, "__dict__") and len(value.__dict__) != len(parts):
             return None

@@ -87,6 +87,7 @@ class Session:
             compare(own, peer)
             session = session_id(own, peer)
             tape.resume(peer.cursor)
+            self._left = tape.remaining
             self._tag = int.from_bytes(session[:4], "little")
             channel.bind(self._tag)
             self._agreement = Agreement(channel, self.party, session, self._alpha)
@@ -101,9 +102,14 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None and self._dead is None:
-            self._die(error)  # the peer is told that this side stopped
+        if error is not None:
+            self.abandon(error)
         self.close()
+
+    def abandon(self, error: BaseException) -> None:
+        """End the session because of an error of this side's own; the peer is told that this side stopped."""
+        if self._dead is None:
+            self._die(error)
 
     @property
     def header(self) -> TapeHeader:
@@ -225,6 +231,7 @@ class Session:
     def _reserve(self, jobs: int) -> None:
         pad_bytes = self.header.pad_bytes
         reserved = self._tape.reserve(jobs)
+        self._left = self._tape.remaining
         self._reserved.extend(
             [(job.index, JobStream(job.key, pad_bytes, job.correction)) for job in reserved]
         )

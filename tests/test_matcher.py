@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from link_helpers import BATCHES, DIM, Link, all_batches, check_all, expected, mission, robots
 
-from protocols import Matcher, batching, matcher
+from protocols import Matcher, Matches, batching, matcher
 from spdz import (
     ChannelError,
 )
+from spdz.stats import Stats
 
 pytestmark = pytest.mark.usefixtures("quick_disk")
 
@@ -172,3 +173,35 @@ def test_bad_arguments_are_refused_at_once(world, wrong):
     folder, paths = world
     with pytest.raises(ValueError):
         Matcher(paths[0], 0.2, **{"listen": "127.0.0.1:1", "state_dir": folder / "state-0", **wrong})
+
+
+def test_another_batch_in_place_of_one_that_was_broken_off_is_refused(tmp_path):
+    """Else the peer would have the results of two batches in one table; the same descriptors go on."""
+    paths = mission(tmp_path / "m", 400)
+    link = Link([(0, 1900 + k) for k in range(200)], timeout=2.0)
+
+    def work(one, party):
+        own = BATCHES[party][0]
+        try:
+            matches = one.match(own)
+        except ChannelError:
+            with pytest.raises(ValueError, match=r"was broken off with \d+ pairs decided"):
+                one.match(-own)
+            link.cuts.clear()
+            matches = one.match(own)
+        return [matches, *(one.match(batch) for batch in BATCHES[party][1:])]
+
+    with patch.object(batching, "MOST_JOBS", 1):
+        check_all(robots(tmp_path, paths, link, work, wait=1.0))
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (3, 0), (1, 1), (7, 5)])
+def test_the_blocks_of_a_result_are_what_was_decided(shape):
+    generator = np.random.default_rng(3)
+    for density in (0.0, 0.3, 0.7, 1.0):
+        decided = generator.random(shape) < density
+        known = Matches(np.zeros(shape), decided, Stats(), 0)
+        covered = np.zeros(shape, dtype=int)
+        for rows, columns in known.blocks:
+            covered[rows.start : rows.stop, columns.start : columns.stop] += 1
+        assert np.array_equal(covered, decided)

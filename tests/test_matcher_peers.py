@@ -19,6 +19,7 @@ from spdz import (
     OutOfStep,
     PeerAborted,
     ProtocolViolation,
+    SpdzError,
     TapeExhausted,
 )
 from spdz.channels import FrameKind
@@ -196,3 +197,35 @@ def test_a_peer_that_never_comes_ends_the_wait(tmp_path):
 def test_errors_know_whether_another_try_may_help():
     assert ChannelTimeout("").passing and ChannelClosed("").passing
     assert not ChannelError("").passing and not PeerAborted("").passing
+
+
+def test_an_empty_batch_that_was_finished_does_not_come_back_with_descriptors(tmp_path):
+    batch = Batch(0, unit(1, 4), Purpose("S10", DIM, tile=(1, 1)), 0)
+    batch.meet("theirs", 0, 0, 100)
+    assert list(batch.run(FakeSession(), None, 1)) == []
+    with pytest.raises(OutOfStep, match="had 0 descriptors, and now it has 3"):
+        batch.meet("others", 3, 0, 100)
+
+
+class FakeSession:
+    """Enough of a session for a batch without tiles."""
+
+    shapes = ((1, 1, DIM), (1, 1, DIM))
+
+
+def test_what_was_given_up_is_not_run_when_the_end_is_told(tmp_path):
+    paths, blocks = mission(tmp_path / "m", 400), []
+
+    def work(one, party):
+        one.match(BATCHES[party][2])
+        if party == 0:
+            one._on_block = lambda block: (blocks.append(block), 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                one.match(BATCHES[0][0])
+            return None
+        return one.match(BATCHES[1][0])
+
+    with patch.object(batching, "MOST_JOBS", 1):
+        first, second = robots(tmp_path, paths, Link(timeout=2.0), work, wait=2.0)
+    assert first is None and len(blocks) == 1
+    assert isinstance(second, SpdzError) and 0 < second.partial.pairs < 12

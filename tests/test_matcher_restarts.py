@@ -12,6 +12,7 @@ from protocols import Matcher, batching
 from spdz import (
     ChannelError,
     OutOfStep,
+    PeerAborted,
     SpdzError,
     TapeInUse,
 )
@@ -71,7 +72,8 @@ def test_a_robot_that_was_restarted_in_the_middle_of_a_batch_gets_all_of_it(tmp_
 
 def test_a_peer_cannot_take_back_what_was_decided(tmp_path):
     """Not by another number of descriptors, and not by other ones."""
-    (first, _), _ = restarted_in_the_middle(tmp_path / "fewer", BATCHES[1][0][:0])
+    (first, second), _ = restarted_in_the_middle(tmp_path / "fewer", BATCHES[1][0][:0])
+    assert isinstance(second, PeerAborted)  # told at once
     assert isinstance(first, OutOfStep) and "had 4 descriptors, and now it has 0" in str(first)
     assert 0 < first.partial.pairs < 12
     assert np.array_equal(

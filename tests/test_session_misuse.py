@@ -24,7 +24,7 @@ from spdz import (
 )
 from spdz.channels import FrameKind, memory_pair
 from spdz.party import JobStream
-from spdz.plans import KEPT, Plans, constants
+from spdz.plans import KEPT, Plans, constants, unchanging
 from spdz.tape import Tape
 
 SHAPES = ((4,), (4,))
@@ -257,6 +257,7 @@ class Shifted:
     by: float = field(compare=False, default=0.0)
     max_norm: float = 8.0
 
+    @unchanging
     async def __call__(self, engine, x, y):
         return dot(x, y) + self.by
 
@@ -309,6 +310,7 @@ def test_what_a_program_is_made_of_tells_apart_whatever_differs():
     different = [0, 0.0, -0.0, False, "0", None, (0,), (0.0,), Shifted(0.0), Shifted(-0.0), Shifted(0)]
     assert len({constants(one) for one in different}) == len(different)
     bound = [1]
+    assert constants(Weighted(1.0)) is None  # its __call__ is not declared unchanging
     for changing in ([0], np.zeros(1), Shifted([0]), ((0, [0]),), lambda: bound, Shifted(0.0).__call__):
         assert constants(changing) is None
     assert constants(S10.formula) is not None

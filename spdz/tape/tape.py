@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
@@ -221,8 +221,10 @@ class Tape:
             self._state = None
             if own and not self._file.closed:
                 # A fork that lives on holds the same open file: closing ours would not unlock it (flock(2)).
-                unlock(self._file.fileno())
-                self._mark.unlock()
+                with suppress(OSError):  # closing unlocks as well, unless a fork lives on
+                    unlock(self._file.fileno())
+                with suppress(OSError):
+                    self._mark.unlock()
             self._resources.close()
 
     def __repr__(self) -> str:
