@@ -16,11 +16,11 @@ from bench.exact import exact_score, raw, units
 from bench.inputs import KINDS, draw
 from bench.recorded_accuracy import compare_with_recorded, print_recorded
 from protocols.scores import SCORES, Score
-from spdz.command import CommandParser, run_command
-from spdz.fixed_point import MAX_NORM
+from spdz.arithmetic.fixed_point import MAX_NORM
+from spdz.console.command import CommandParser, run_command
+from spdz.console.progress import Report, progress_bar
+from spdz.foundations.types import FloatArray, Security
 from spdz.local import run_local
-from spdz.progress import Report, progress_bar
-from spdz.types import FloatArray, Security
 
 SECURITIES: tuple[Security, ...] = ("malicious", "semi-honest")
 JOB_COORDINATES = 1 << 14

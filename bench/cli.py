@@ -22,9 +22,9 @@ from bench.recorded import recorded
 from protocols import is_candidate
 from protocols.scores import SCORES
 from protocols.textbook import TEXTBOOK
-from spdz.command import CommandParser, run_command
+from spdz.console.command import CommandParser, run_command
 from spdz.local import run_clear
-from spdz.program import Program
+from spdz.readings.program import Program
 
 _EPILOG = """\
 Two processes on this machine, pinned to a core each where the system allows it, over loopback TCP. Every

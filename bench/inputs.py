@@ -8,7 +8,7 @@ from math import sqrt
 
 import numpy as np
 
-from spdz.types import FloatArray
+from spdz.foundations.types import FloatArray
 
 NEARNESS = 0.01
 """L2 distance of the two vectors of a near pair, about."""

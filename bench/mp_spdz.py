@@ -19,7 +19,7 @@ from pathlib import Path
 from bench.exact import ONE
 from bench.mpc import MARK, program_text
 from bench.processes import Finished, run_together
-from spdz.types import Security
+from spdz.foundations.types import Security
 
 VERSION = "v0.4.2"
 PROTOCOLS: dict[str, Security] = {"mascot": "malicious", "hemi": "semi-honest"}

@@ -16,9 +16,9 @@ from bench.inputs import KINDS, draw
 from bench.mp_spdz import PROTOCOLS, VERSION, MpSpdz, MpSpdzError, MpSpdzMissing
 from bench.mpc import BODIES
 from protocols.scores import SCORES
-from spdz.command import CommandParser, run_command
-from spdz.fixed_point import MAX_NORM
-from spdz.types import FloatArray
+from spdz.arithmetic.fixed_point import MAX_NORM
+from spdz.console.command import CommandParser, run_command
+from spdz.foundations.types import FloatArray
 
 _EPILOG = f"""\
 Needs MP-SPDZ {VERSION}, built, which this package neither contains nor installs. For each score a program is

@@ -17,15 +17,15 @@ import numpy as np
 from dealer.tapes import deal_tapes
 from spdz.channels import Channel
 from spdz.channels.tcp import connect, listen
-from spdz.clear import Clear
-from spdz.command import tune_process
-from spdz.driver import run_channel
-from spdz.mac_check import drive
-from spdz.program import Program, declare, quantise, run
+from spdz.console.command import tune_process
+from spdz.foundations.stats import Stats
+from spdz.foundations.types import Security
+from spdz.readings.clear import Clear
+from spdz.readings.program import Program, declare, quantise, run
+from spdz.rounds.mac_check import drive
 from spdz.session import Session
-from spdz.stats import Stats
+from spdz.session.driver import run_channel
 from spdz.tape import Tape
-from spdz.types import Security
 
 WARM_UP = 3
 """Runs before the counted ones."""

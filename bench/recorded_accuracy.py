@@ -12,9 +12,9 @@ import numpy as np
 from bench.exact import ONE, units
 from bench.vectors import Record, load_vectors
 from protocols.scores import SCORES
+from spdz.console.progress import Report
+from spdz.foundations.types import Security
 from spdz.local import run_local
-from spdz.progress import Report
-from spdz.types import Security
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,9 @@ from dealer.plan import (
 from dealer.report import Wanted
 from protocols.catalog import Purpose
 from protocols.scores import SCORES
-from spdz.command import CommandParser, run_command, say_error, wants_json
-from spdz.fixed_point import MAX_NORM
-from spdz.progress import progress_bar
+from spdz.arithmetic.fixed_point import MAX_NORM
+from spdz.console.command import CommandParser, run_command, say_error, wants_json
+from spdz.console.progress import progress_bar
 from spdz.version import __version__
 
 _NAME = "python -m spdz.dealer"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from protocols.memory import require_memory
 from spdz.channels.frames import MAX_FRAME
-from spdz.meter import Plan
-from spdz.wire import ELEMENT_BYTES
+from spdz.readings.meter import Plan
+from spdz.rounds.wire import ELEMENT_BYTES
 
 _FIXED_MEMORY = 16 << 20  # the chunks in which keys are made
 _PAD_MEMORY = 6.5  # times both pads: expanded, reduced, split into limbs for their products

@@ -22,8 +22,8 @@ from dealer.pki import MissionAuthority, check_name, write_credentials
 from dealer.tapes import deal_tapes, tape_bytes
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
-from spdz.meter import measure
-from spdz.types import Security
+from spdz.foundations.types import Security
+from spdz.readings.meter import measure
 
 
 @dataclass(frozen=True, slots=True)

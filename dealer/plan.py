@@ -20,8 +20,8 @@ from protocols.batching import DEALT_BYTES
 from protocols.catalog import Purpose
 from protocols.costs import bytes_sent, job_cost, matching_memory, most_jobs_lost, rounds
 from protocols.memory import in_bytes
-from spdz.meter import Plan, measure
-from spdz.types import Security
+from spdz.foundations.types import Security
+from spdz.readings.meter import Plan, measure
 
 LINK_BYTES, LINK_ROUND = 2.5e6, 0.005
 """A link to pick tiles for: bytes a second for both robots together, and seconds a round."""

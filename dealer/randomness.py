@@ -8,9 +8,9 @@ from math import prod
 
 import numpy as np
 
-from spdz.field import P
-from spdz.prf import expand
-from spdz.types import FieldArray, Shape
+from spdz.arithmetic.field import P
+from spdz.arithmetic.prf import expand
+from spdz.foundations.types import FieldArray, Shape
 
 _KEY_BYTES = 32
 

@@ -1,8 +1,8 @@
 """The dealer's reading: the program run on masks alone.
 
 The dealer knows the masks, never an input. Reading a program, it writes for either party exactly what
-that party will draw, in the same order (the convention is in :mod:`spdz.party`): the pads come from the
-job's two keys, so only *corrections* are written down.
+that party will draw, in the same order (the convention is in :mod:`spdz.readings.party`): the pads come from
+the job's two keys, so only *corrections* are written down.
 """
 
 from __future__ import annotations
@@ -14,20 +14,22 @@ from typing import Any
 import numpy as np
 
 from dealer.randomness import MacKey, uniform_below
-from spdz import dcf, field, input_mask
-from spdz.bound import Bound
-from spdz.coroutine import exchange, run_silently
-from spdz.engine import Gate, Input, Recipe
-from spdz.fixed_point import FRACTION_BITS
-from spdz.meter import Plan
-from spdz.party import JobStream
-from spdz.program import Program, run
-from spdz.public import Raw
-from spdz.rings import FieldRing
-from spdz.stock import Stock
-from spdz.types import Buffer, FieldArray, Security, Shape
-from spdz.value import Value
-from spdz.wire import to_bytes
+from spdz import dcf
+from spdz.arithmetic import field
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.fixed_point import FRACTION_BITS
+from spdz.arithmetic.public import Raw
+from spdz.arithmetic.rings import FieldRing
+from spdz.foundations.types import Buffer, FieldArray, Security, Shape
+from spdz.readings.meter import Plan
+from spdz.readings.party import JobStream
+from spdz.readings.program import Program, run
+from spdz.readings.stock import Stock
+from spdz.rounds.coroutine import exchange, run_silently
+from spdz.rounds.wire import to_bytes
+from spdz.values import input_mask
+from spdz.values.engine import Gate, Input, Recipe
+from spdz.values.value import Value
 
 _RING = FieldRing()
 

@@ -10,7 +10,7 @@ from itertools import combinations, islice
 from dealer.plan import LINK_BYTES, LINK_ROUND, Impossible, TilePlan, in_seconds
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
-from spdz.types import Security
+from spdz.foundations.types import Security
 
 _COLUMNS = (
     ("tile", 11),

@@ -10,12 +10,12 @@ from pathlib import Path
 from dealer.limits import check_job
 from dealer.randomness import random_mac_key
 from dealer.recipe import deal_job
-from spdz.meter import Plan, measure
-from spdz.prf import job_key, next_chain
-from spdz.program import Program
+from spdz.arithmetic.prf import job_key, next_chain
+from spdz.foundations.types import Json, Security, Shape
+from spdz.readings.meter import Plan, measure
+from spdz.readings.program import Program
 from spdz.tape import TapeHeader, TapeWriter
 from spdz.tape.format import MAX_JOBS, Layout, encode_header
-from spdz.types import Json, Security, Shape
 
 _ID_DIGITS = 32
 

@@ -20,12 +20,12 @@ import numpy.typing as npt
 
 from protocols.batching import jobs_together
 from protocols.catalog import Purpose
-from spdz.errors import OutOfStep, TapeExhausted
-from spdz.meter import measure
-from spdz.program import Program
+from spdz.foundations.errors import OutOfStep, TapeExhausted
+from spdz.foundations.stats import Stats
+from spdz.foundations.types import Security
+from spdz.readings.meter import measure
+from spdz.readings.program import Program
 from spdz.session import Session
-from spdz.stats import Stats
-from spdz.types import Security
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ Both robots, and the dealer's plan, must come to the same number, so it depends 
 
 from __future__ import annotations
 
-from spdz.wire import ELEMENT_BYTES
+from spdz.rounds.wire import ELEMENT_BYTES
 
 MASKED_BYTES = 2 << 20
 """Jobs share rounds up to about this many bytes of masked descriptors of a robot,"""

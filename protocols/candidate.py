@@ -18,7 +18,7 @@ import numpy as np
 
 from protocols.scores import Score
 from spdz import Engine, Value, nonnegative
-from spdz.plans import unchanging
+from spdz.readings.plans import unchanging
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,10 +10,10 @@ from typing import Any, Literal
 from protocols.candidate import is_candidate
 from protocols.scores import SCORES
 from spdz import Program
+from spdz.arithmetic.fixed_point import MAX_NORM, norm_bound
 from spdz.channels.frames import MAX_FRAME
-from spdz.fixed_point import MAX_NORM, norm_bound
-from spdz.types import Shape
-from spdz.wire import ELEMENT_BYTES
+from spdz.foundations.types import Shape
+from spdz.rounds.wire import ELEMENT_BYTES
 
 Reveal = Literal["bit", "score"]
 

@@ -16,9 +16,9 @@ from protocols.batch import Matches
 from protocols.catalog import Purpose, threshold_warning
 from protocols.descriptors import load_descriptors
 from protocols.matcher import Matcher
-from spdz.command import say_error
-from spdz.errors import SpdzError, TapeDestroyed, TapeExhausted, TapeInUse
-from spdz.progress import progress_bar
+from spdz.console.command import say_error
+from spdz.console.progress import progress_bar
+from spdz.foundations.errors import SpdzError, TapeDestroyed, TapeExhausted, TapeInUse
 
 _EPILOG = """\
 example, in two terminals (either may start first):

@@ -14,18 +14,18 @@ from typing import Any
 
 from protocols.batching import jobs_together
 from protocols.catalog import Purpose
-from spdz import input_mask
-from spdz.bound import Bound
+from spdz.arithmetic.bound import Bound
 from spdz.channels.frames import HEADER_BYTES
-from spdz.coroutine import Check, Request, run_silently
-from spdz.engine import Gate, Input
+from spdz.foundations.types import Security, Shape
 from spdz.gates.piecewise import Piecewise
-from spdz.mac_check import DIGEST_BYTES
-from spdz.meter import Meter, Plan, measure
-from spdz.program import declare, run
-from spdz.types import Security, Shape
-from spdz.value import Value
-from spdz.wire import ELEMENT_BYTES
+from spdz.readings.meter import Meter, Plan, measure
+from spdz.readings.program import declare, run
+from spdz.rounds.coroutine import Check, Request, run_silently
+from spdz.rounds.mac_check import DIGEST_BYTES
+from spdz.rounds.wire import ELEMENT_BYTES
+from spdz.values import input_mask
+from spdz.values.engine import Gate, Input
+from spdz.values.value import Value
 
 _FIXED_MEMORY = 12 << 20  # buffers of the channel and of small kernels
 _OPERAND_MEMORY = 180  # bytes an element of a product's operands: limbs in floats, and shares beside them

@@ -28,11 +28,11 @@ from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
 from protocols.matching import check_descriptors
 from protocols.position import Offer, Position, meeting
-from spdz.connect import check_where, open_session
-from spdz.errors import ChannelError, OutOfStep, PeerAborted, SpdzError, TapeExhausted
-from spdz.session import Session
+from spdz.foundations.errors import ChannelError, OutOfStep, PeerAborted, SpdzError, TapeExhausted
+from spdz.session import Session, open_session
+from spdz.session.connect import check_where
+from spdz.session.turn import Turn
 from spdz.tape import Tape, TapeHeader
-from spdz.turn import Turn
 
 Self = TypeVar("Self", bound="Matcher")
 

@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
-from spdz.errors import OutOfStep, ProtocolViolation, SpdzError
-from spdz.program import Program, quantise
-from spdz.public import refuse_masked
+from spdz.arithmetic.public import refuse_masked
+from spdz.foundations.errors import OutOfStep, ProtocolViolation, SpdzError
+from spdz.readings.program import Program, quantise
 from spdz.session import Session
 from spdz.tape import TapeHeader
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from protocols.batch import Batch
 from protocols.matching import sensible_count
-from spdz.errors import OutOfStep, ProtocolViolation
-from spdz.types import Json
+from spdz.foundations.errors import OutOfStep, ProtocolViolation
+from spdz.foundations.types import Json
 
 _LONGEST_TOKEN = 64
 

@@ -14,7 +14,7 @@
 | S10 | dotprod      | dot product (cosine of unit vectors)                 |
 
 Source: Fishberg, Jia, How, "CILC", table "score functions". A score is a program
-(:mod:`spdz.program`): run on its own it opens the score, and :func:`protocols.is_candidate` turns it
+(:mod:`spdz.readings.program`): run on its own it opens the score, and :func:`protocols.is_candidate` turns it
 into one that opens only the comparison with a threshold.
 """
 
@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 from protocols.cosine import cosine
 from protocols.distance import difference, squared_distance
 from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, sqrt, truncate
-from spdz.fixed_point import MAX_NORM
-from spdz.plans import unchanging
-from spdz.program import result_of
+from spdz.arithmetic.fixed_point import MAX_NORM
+from spdz.readings.plans import unchanging
+from spdz.readings.program import result_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from typing import Any
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
 from protocols.scores import SCORES
-from spdz.errors import TapeError
-from spdz.progress import progress_bar
+from spdz.console.progress import progress_bar
+from spdz.foundations.errors import TapeError
 from spdz.tape import TapeHeader, TapeStatus, tape_status, verify_corrections
 
 _ID_DIGITS = 12

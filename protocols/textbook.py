@@ -6,7 +6,7 @@ direction instead of one. As in the paper's cost table.
 
 from protocols.scores import Score
 from spdz import Engine, Value, beaver_dot, beaver_multiply
-from spdz.plans import unchanging
+from spdz.readings.plans import unchanging
 
 
 async def dot_with_vector_triple(engine: Engine, x: Value, y: Value) -> Value:

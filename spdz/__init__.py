@@ -1,9 +1,6 @@
 """Two-party SPDZ in Python and NumPy: two robots learn whether two descriptors match, and nothing else."""
 
-from spdz.connect import open_session
-from spdz.coroutine import parallel
-from spdz.engine import Engine
-from spdz.errors import (
+from spdz.foundations.errors import (
     ChannelClosed,
     ChannelError,
     ChannelTimeout,
@@ -19,6 +16,7 @@ from spdz.errors import (
     TapeInUse,
     TapeMismatch,
 )
+from spdz.foundations.stats import Outcome, Stats
 from spdz.functions import (
     divide,
     l1_normalised,
@@ -43,12 +41,13 @@ from spdz.gates import (
     truncate,
 )
 from spdz.local import run_clear, run_local
-from spdz.meter import Plan, measure
-from spdz.program import Program
-from spdz.session import Result, Session
-from spdz.stats import Outcome, Stats
-from spdz.stock import Stock
-from spdz.value import Value
+from spdz.readings.meter import Plan, measure
+from spdz.readings.program import Program
+from spdz.readings.stock import Stock
+from spdz.rounds.coroutine import parallel
+from spdz.session import Result, Session, open_session
+from spdz.values.engine import Engine
+from spdz.values.value import Value
 from spdz.version import __version__
 
 __all__ = [

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from spdz.command import CommandParser, run_command, wants_json
+from spdz.console.command import CommandParser, run_command, wants_json
 from spdz.version import __version__
 
 

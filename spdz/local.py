@@ -13,17 +13,17 @@ from typing import Any
 import numpy.typing as npt
 
 from spdz.channels.frames import HEADER_BYTES
-from spdz.clear import Clear
-from spdz.coroutine import Exchange, Protocol
-from spdz.engine import Evaluation
-from spdz.errors import ProtocolViolation
-from spdz.mac_check import MacCheck, drive
-from spdz.meter import measure, measure_stock
-from spdz.party import JobStream, Party
-from spdz.program import Program, declare, quantise, run
-from spdz.stats import Outcome, Stats
-from spdz.stock import Stock, StockedParty
-from spdz.types import IntArray, Security, Shape
+from spdz.foundations.errors import ProtocolViolation
+from spdz.foundations.stats import Outcome, Stats
+from spdz.foundations.types import IntArray, Security, Shape
+from spdz.readings.clear import Clear
+from spdz.readings.meter import measure, measure_stock
+from spdz.readings.party import JobStream, Party
+from spdz.readings.program import Program, declare, quantise, run
+from spdz.readings.stock import Stock, StockedParty
+from spdz.rounds.coroutine import Exchange, Protocol
+from spdz.rounds.mac_check import MacCheck, drive
+from spdz.values.engine import Evaluation
 
 Tamper = Callable[[int, int, bytes], bytes]
 """``tamper(round, sender, frame) -> frame``: may change what ``sender`` (0 or 1) sends in a round."""

@@ -15,7 +15,7 @@ from spdz.channels import FrameKind, MemoryChannel, SocketChannel, memory_pair, 
 from spdz.channels.addresses import parse_address
 from spdz.channels.stream import PlainStream, complete
 from spdz.channels.tls_stream import TlsStream
-from spdz.errors import ChannelClosed
+from spdz.foundations.errors import ChannelClosed
 
 DATA, CHECK, CONTROL = FrameKind.DATA, FrameKind.CHECK, FrameKind.CONTROL
 SHORT = 0.25

@@ -7,7 +7,7 @@ from unittest.mock import patch
 import numpy as np
 
 from spdz import run_clear, run_local
-from spdz.bound import Bound
+from spdz.arithmetic.bound import Bound
 
 SECURITIES = ["malicious", "semi-honest"]
 LIMB = 30

@@ -20,16 +20,16 @@ from typing import Any
 
 from dealer.randomness import MacKey, random_mac_key
 from dealer.recipe import deal_job, deal_stock
-from spdz.coroutine import Check, Exchange
-from spdz.errors import MacCheckFailed, ProtocolViolation, SpdzError
-from spdz.field import P
-from spdz.mac_check import DIGEST_BYTES, MacCheck, drive
-from spdz.meter import measure, measure_stock
-from spdz.party import JobStream, Party
-from spdz.program import declare, quantise, run
-from spdz.session import _all
-from spdz.stats import Stats
-from spdz.stock import StockedParty
+from spdz.arithmetic.field import P
+from spdz.foundations.errors import MacCheckFailed, ProtocolViolation, SpdzError
+from spdz.foundations.stats import Stats
+from spdz.readings.meter import measure, measure_stock
+from spdz.readings.party import JobStream, Party
+from spdz.readings.program import declare, quantise, run
+from spdz.readings.stock import StockedParty
+from spdz.rounds.coroutine import Check, Exchange
+from spdz.rounds.mac_check import DIGEST_BYTES, MacCheck, drive
+from spdz.session.session import _all
 
 SESSION = b"a session"
 

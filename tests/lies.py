@@ -3,7 +3,7 @@
 A lie is ``lie(number, own, theirs)``, a list of elements to send in DATA exchange ``number``.
 """
 
-from spdz.field import P
+from spdz.arithmetic.field import P
 
 ELEMENT = {
     "plus 1": lambda own, theirs, e: own + 1,

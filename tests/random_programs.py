@@ -19,7 +19,7 @@ from exact_reading import Number, fractions
 import spdz
 from protocols.cosine import cosine
 from spdz.functions.power import power
-from spdz.value import concatenate, split
+from spdz.values.value import concatenate, split
 
 LONGEST_COMPARED, LONGEST_OUTPUT = 83, 124
 """Bits of a bound up to which programs are drawn; the engine's own limits are a little further out."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spdz import prf
+from spdz.arithmetic import prf
 from spdz.tape import TapeHeader, TapeWriter
 
 CHAIN = bytes(range(100, 132))

@@ -12,7 +12,7 @@ from bench.accuracy import exact_scores, main, secure_scores
 from bench.exact import units
 from bench.inputs import KINDS, draw
 from protocols.scores import SCORES
-from spdz.stats import Outcome, Stats
+from spdz.foundations.stats import Outcome, Stats
 
 SECURITIES = ["malicious", "semi-honest"]
 VECTORS = Path(__file__).parent / "vectors" / "mp_spdz.json"

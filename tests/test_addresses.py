@@ -11,7 +11,7 @@ from channel_helpers import LONG, SHORT, assert_alive, free_address, meet, ways
 
 from spdz.channels import dialing, listening, tcp
 from spdz.channels.addresses import NotYet, parse_address
-from spdz.errors import ChannelError, ChannelTimeout
+from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 V4, V6 = "127.0.0.1", "::1"
 

@@ -26,11 +26,11 @@ from spdz import (
     sqrt,
     truncate,
 )
-from spdz.bound import Bound, root
-from spdz.clear import Clear
+from spdz.arithmetic.bound import Bound, root
 from spdz.gates.masking import signed_bits, tightened
 from spdz.gates.truncation import Truncate, TruncateExactly
-from spdz.value import aligned, concatenate
+from spdz.readings.clear import Clear
+from spdz.values.value import aligned, concatenate
 
 
 def longest(rows):

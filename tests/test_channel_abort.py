@@ -17,7 +17,7 @@ from channel_helpers import (
 )
 
 from spdz.channels import AbortReason, FrameKind, tcp
-from spdz.errors import ChannelTimeout, PeerAborted, ProtocolViolation
+from spdz.foundations.errors import ChannelTimeout, PeerAborted, ProtocolViolation
 
 
 @pytest.mark.parametrize("reason", list(AbortReason))

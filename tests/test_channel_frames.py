@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spdz.channels import DType, FrameKind
 from spdz.channels.frames import MAX_CONTROL, FrameReader, merge_small
-from spdz.errors import ProtocolViolation, SpdzError
+from spdz.foundations.errors import ProtocolViolation, SpdzError
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from channel_helpers import (
 
 from spdz.channels import DType, FrameKind, memory_pair
 from spdz.channels.frames import MAX_CONTROL, MAX_FRAME
-from spdz.errors import ChannelClosed, ChannelTimeout
+from spdz.foundations.errors import ChannelClosed, ChannelTimeout
 
 # --- what an exchange does
 

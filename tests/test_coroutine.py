@@ -2,7 +2,7 @@
 
 import pytest
 
-from spdz.coroutine import Check, Exchange, check, exchange, parallel, run_silently
+from spdz.rounds.coroutine import Check, Exchange, check, exchange, parallel, run_silently
 
 
 def drive(protocol):

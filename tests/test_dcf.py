@@ -11,10 +11,11 @@ from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spdz import dcf, field
+from spdz import dcf
+from spdz.arithmetic import field
+from spdz.arithmetic.field import P
 from spdz.dcf.format import tiles
-from spdz.field import P
-from spdz.types import Block, FieldArray
+from spdz.foundations.types import Block, FieldArray
 
 TOP = 1 << 127
 HEADER = 16

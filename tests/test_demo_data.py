@@ -15,7 +15,7 @@ from bench.demo import dataset, places, scan_context
 from bench.demo.cli import NEEDS
 from bench.demo.dataset import Run
 from bench.demo.places import Robot, robots, truth
-from spdz.types import FloatArray
+from spdz.foundations.types import FloatArray
 
 ROOT = Path(__file__).resolve().parent.parent
 SCAN = "ROBOTLASER1 0 -1.570796 3.141593 1.570796 50.0 0.1 0 3 1.5 2.5 50.9 0 1 2 0.5 1 2 0.5"

@@ -21,7 +21,7 @@ import dealer.cli
 import spdz
 import spdz.__main__
 from bench.pair import free_port
-from spdz import errors
+from spdz.foundations import errors
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spdz import field
-from spdz.field import P
+from spdz.arithmetic import field
+from spdz.arithmetic.field import P
 
 POWERS = (16, 26, 32, 48, 52, 63, 64, 78, 80, 96, 104, 112, 126)
 EDGES = [0, 1, 2, P - 1, P - 2, P // 2, P // 2 + 1, *(2**k + d for k in POWERS for d in (-1, 0, 1))]

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spdz import field
-from spdz.fixed_point import FRACTION_BITS, MAX_NORM, decode, decode_signed, encode, norm_bound
+from spdz.arithmetic import field
+from spdz.arithmetic.fixed_point import FRACTION_BITS, MAX_NORM, decode, decode_signed, encode, norm_bound
 
 SECRET = 123.456
 laws = settings(max_examples=100, deadline=None)

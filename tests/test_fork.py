@@ -11,7 +11,7 @@ import pytest
 from channel_helpers import DATA, LONG, assert_alive, meet, ways
 
 from spdz.channels import AbortReason, MemoryChannel
-from spdz.errors import ChannelClosed, ChannelError
+from spdz.foundations.errors import ChannelClosed, ChannelError
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -10,7 +10,7 @@ from session_helpers import deal, state_dirs
 from protocols.scores import S10
 from spdz import ProtocolViolation, Session, TapeMismatch
 from spdz.channels import FrameKind, memory_pair
-from spdz.handshake import Hello, session_id
+from spdz.session.handshake import Hello, session_id
 from spdz.tape import Tape
 
 

@@ -1,8 +1,8 @@
 import pytest
 from tape_helpers import ALPHA, CHAIN, chains, deal, skip_sync
 
-from spdz import prf
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError
+from spdz.arithmetic import prf
+from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError
 from spdz.tape import Tape
 from spdz.tape.high_water import default_state_dir
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spdz import field, inner_product
-from spdz.field import P
-from spdz.inner_product import dot, limbs, small_dot
+from spdz.arithmetic import field, inner_product
+from spdz.arithmetic.field import P
+from spdz.arithmetic.inner_product import dot, limbs, small_dot
 
 SMALL = 2**40 - 1
 LENGTHS = (1, 7, 1999, 2000, 2001, 8192)

@@ -15,7 +15,7 @@ from insider_programs import ALL, GATES_AND_FUNCTIONS, X, Y, dealt
 from lies import ELEMENT, FRAME, PAIR, cancelling, element, frame, pair, sampled
 
 from spdz import ProtocolViolation, functions, gates, run_clear
-from spdz.field import P
+from spdz.arithmetic.field import P
 
 TRIALS = int(os.environ.get("SPDZ_INSIDER_TRIALS", "4"))
 SHORT = 8

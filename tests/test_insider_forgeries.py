@@ -8,8 +8,8 @@ from insider import own_hash
 from insider_programs import dealt
 from lies import ELEMENT, element
 
-from spdz import field
-from spdz.mac_check import DIGEST_BYTES
+from spdz.arithmetic import field
+from spdz.rounds.mac_check import DIGEST_BYTES
 
 
 def zero_sigmas(ledger):

@@ -11,7 +11,7 @@ from insider_programs import ALL, NORM, X, Y, dealt
 from lies import ELEMENT, element
 
 from spdz import run_clear
-from spdz.field import P
+from spdz.arithmetic.field import P
 
 OTHER = np.array([9000, -5000, 12345])
 """Added to an input, in raw units; its norm stays within bounds."""

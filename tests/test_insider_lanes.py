@@ -10,7 +10,7 @@ from insider_programs import PROGRAMS, STOCK, X, Y
 from lies import ELEMENT, PAIR, cancelling, element, frame, pair
 
 from spdz import parallel, run_clear
-from spdz.field import P
+from spdz.arithmetic.field import P
 
 PAIRS = ((X, Y), (Y, X), (X, X - Y / 8))
 LANES = len(PAIRS)

@@ -15,10 +15,11 @@ from insider import Dealt, own_hash
 from insider_programs import PROGRAMS, X, Y
 from lies import ELEMENT, PAIR, cancelling, element, pair
 
-from spdz import MacCheckFailed, field, run_clear
+from spdz import MacCheckFailed, run_clear
+from spdz.arithmetic import field
 from spdz.gates.product import masked_product
-from spdz.mac_check import MacCheck
-from spdz.party import Party
+from spdz.readings.party import Party
+from spdz.rounds.mac_check import MacCheck
 
 PAIRS = ((X, Y), (Y, X / 2))
 """Two lanes of a program that opens two arrays of three elements a lane, twice, and one."""

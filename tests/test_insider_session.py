@@ -11,7 +11,7 @@ from session_helpers import deal, run_pair, state_dirs
 
 from spdz import MacCheckFailed, TapeDestroyed, run_clear
 from spdz.channels.memory import MemoryChannel
-from spdz.mac_check import MacCheck, drive
+from spdz.rounds.mac_check import MacCheck, drive
 from spdz.tape import Tape
 
 PAIRS = ((X, Y), (X, X - Y / 8))
@@ -51,7 +51,7 @@ def network_duel(folder, program, evil, lie, follow=True):
     def work(session):
         return session.run_many(program, [inputs[session.party] for inputs in PAIRS]).value
 
-    with patch("spdz.agreement.MacCheck", mac_check), patch("spdz.session.drive", frames):
+    with patch("spdz.session.agreement.MacCheck", mac_check), patch("spdz.session.session.drive", frames):
         outcomes = run_pair(paths, states, work, channels=ends)
     return outcomes, (paths[1 - evil], states[1 - evil])
 

@@ -26,7 +26,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
 from spdz.channels import tls, tls_stream
 from spdz.channels.tls_stream import MAX_ANSWERS, MAX_SILENT, READ_BYTES, TlsStream
-from spdz.errors import ChannelTimeout, ProtocolViolation
+from spdz.foundations.errors import ChannelTimeout, ProtocolViolation
 
 HASH = hashes.SHA384()  # of TLS_AES_256_GCM_SHA384
 APPLICATION_DATA, HANDSHAKE = 23, 22

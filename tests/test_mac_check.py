@@ -2,10 +2,11 @@
 
 import pytest
 
-from spdz import MacCheckFailed, field
-from spdz.coroutine import exchange
-from spdz.field import P
-from spdz.mac_check import DIGEST_BYTES, MacCheck, drive
+from spdz import MacCheckFailed
+from spdz.arithmetic import field
+from spdz.arithmetic.field import P
+from spdz.rounds.coroutine import exchange
+from spdz.rounds.mac_check import DIGEST_BYTES, MacCheck, drive
 
 ALPHA = (1234567, P - 99)
 SESSION = b"session"

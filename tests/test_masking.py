@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz import dot, mask, measure, multiply, nonnegative, round_exactly, run_local, truncate
-from spdz.bound import Bound
-from spdz.field import P
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.field import P
 
 X = np.array([[0.5, -1.0, 2.0], [0.25, -0.125, 3.0]])
 Y = np.array([[1.0, 0.5, -0.5], [4.0, 2.0, -1.5]])

@@ -12,7 +12,7 @@ from protocols import Matcher, Matches, batching, matcher
 from spdz import (
     ChannelError,
 )
-from spdz.stats import Stats
+from spdz.foundations.stats import Stats
 
 pytestmark = pytest.mark.usefixtures("quick_disk")
 

@@ -22,7 +22,7 @@ from dealer.limits import dealing_memory
 from dealer.tapes import deal_tapes
 from protocols.catalog import Purpose
 from protocols.costs import job_cost, matching_memory
-from spdz.command import keep_large_arrays_on_the_heap
+from spdz.console.command import keep_large_arrays_on_the_heap
 
 def peak():
     line = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))

@@ -10,7 +10,7 @@ from channel_helpers import SHORT, assert_alive, meet, ways
 
 from spdz.channels import listening, reception, tcp
 from spdz.channels.addresses import parse_address
-from spdz.errors import ChannelTimeout
+from spdz.foundations.errors import ChannelTimeout
 
 
 @pytest.mark.parametrize("kind", ["tcp", "tls"])

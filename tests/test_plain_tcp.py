@@ -23,7 +23,7 @@ from channel_helpers import (
 from spdz.channels import tcp
 from spdz.channels.addresses import parse_address
 from spdz.channels.reception import MAX_HANDSHAKES
-from spdz.errors import ChannelError, ChannelTimeout
+from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 RESET = struct.pack("ii", 1, 0)
 

@@ -12,7 +12,7 @@ from dealer.plan import Impossible, TilePlan, candidate_tiles, jobs_for, pick, p
 from protocols import batching, memory
 from protocols.catalog import Purpose
 from protocols.matching import match
-from spdz.command import CommandParser
+from spdz.console.command import CommandParser
 
 AGENTS = ("alice", "bob")
 

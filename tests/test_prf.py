@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 
-from spdz import prf
+from spdz.arithmetic import prf
 
 CHAIN = bytes(range(32))
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz import dot, mask, measure, multiply, nonnegative, run_local, truncate
-from spdz.bound import Bound
+from spdz.arithmetic.bound import Bound
 from spdz.gates.polynomial import polynomial
 
 SHAPES = [

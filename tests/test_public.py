@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz import divide, measure, multiply, nonnegative, round_exactly, run_local, truncate
-from spdz.public import integers, is_whole, limit, magnitude, rounded
+from spdz.arithmetic.public import integers, is_whole, limit, magnitude, rounded
 
 laws = settings(max_examples=150, deadline=None)
 INT64, UINT64 = np.iinfo(np.int64), np.iinfo(np.uint64)

@@ -295,7 +295,7 @@ def test_a_note_that_is_no_object_is_a_protocol_violation(tmp_path):
 
 
 def test_too_many_jobs_at_once_are_refused_before_anything_is_consumed(tmp_path, monkeypatch):
-    monkeypatch.setattr("spdz.session.MAX_FRAME", 200)
+    monkeypatch.setattr("spdz.session.session.MAX_FRAME", 200)
     paths, states = deal(tmp_path / "m", S10, SHAPES, 4), state_dirs(tmp_path)
 
     def work(session):
@@ -312,7 +312,7 @@ def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, monkeypatch):
     def work(session):
         session.reserve(2)
         with monkeypatch.context() as patch:
-            patch.setattr("spdz.session.os.getpid", lambda: -1)
+            patch.setattr("spdz.session.session.os.getpid", lambda: -1)
             with pytest.raises(TapeInUse, match="after the fork"):
                 session.run(S10, OWN[session.party])
         return True

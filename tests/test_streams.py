@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from spdz.command import INTERRUPTED, run_command
-from spdz.streams import GuardedStream
+from spdz.console.command import INTERRUPTED, run_command
+from spdz.console.streams import GuardedStream
 
 PLAN = "spdz.dealer --agents a b --score S10 --dim 8 --count 3 --plan"
 PYTHON = f'"{sys.executable}" -m'
@@ -85,7 +85,7 @@ def test_usage_errors_are_json_where_json_is_asked_for(words, says):
 
 def test_closed_descriptors_are_not_given_to_the_next_file():
     source = (
-        "import sys; from spdz.command import run_command\n"
+        "import sys; from spdz.console.command import run_command\n"
         "def main():\n"
         "    with open(sys.argv[1], 'w') as file:\n"
         "        return 0 if file.fileno() > 2 else 9\n"

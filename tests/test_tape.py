@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from tape_helpers import ALPHA, HEADER, chains, corrections, deal, skip_sync
 
-from spdz import prf
-from spdz.errors import TapeError, TapeExhausted, TapeInUse, TapeMismatch
+from spdz.arithmetic import prf
+from spdz.foundations.errors import TapeError, TapeExhausted, TapeInUse, TapeMismatch
 from spdz.tape import Tape
 from spdz.tape.format import CHUNK
 
@@ -191,9 +191,9 @@ def test_second_open_is_refused_until_the_first_is_closed(path, state):
 
 def test_other_process_is_refused(path, state):
     script = (
-        "import sys, pathlib, spdz.tape, spdz.errors\n"
+        "import sys, pathlib, spdz.tape, spdz.foundations.errors\n"
         "try: spdz.tape.Tape.open(sys.argv[1], state_dir=pathlib.Path(sys.argv[2]))\n"
-        "except spdz.errors.TapeInUse: print('in use')\n"
+        "except spdz.foundations.errors.TapeInUse: print('in use')\n"
     )
     command = [sys.executable, "-c", script, str(path), str(state)]
     with Tape.open(path, state_dir=state):

@@ -8,7 +8,7 @@ import pytest
 from tape_helpers import deal, skip_sync
 
 from spdz.__main__ import main
-from spdz.errors import TapeDamaged, TapeError
+from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.tape import Tape, tape_status, verify, verify_corrections
 
 NEVER = "never copy an old one back"

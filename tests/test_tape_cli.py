@@ -15,7 +15,7 @@ from tape_helpers import skip_sync
 from dealer.mission import deal_mission
 from protocols.catalog import Purpose
 from spdz.__main__ import main
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError
+from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError
 from spdz.tape import Tape, tape_status
 from spdz.tape.state import latest_slot
 

@@ -9,8 +9,8 @@ import shutil
 import pytest
 from tape_helpers import ALPHA, CHAIN, chains, deal
 
-from spdz import prf
-from spdz.errors import TapeDestroyed, TapeError
+from spdz.arithmetic import prf
+from spdz.foundations.errors import TapeDestroyed, TapeError
 from spdz.tape import Tape
 from spdz.tape.format import SECTOR
 from spdz.tape.state import State, StateSlots, encode_slot

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from tape_helpers import ALPHA, HEADER, chains, corrections, deal, skip_sync
 
-from spdz import prf
-from spdz.errors import TapeDamaged, TapeError
+from spdz.arithmetic import prf
+from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.tape import Tape, TapeHeader
 from spdz.tape.format import SECTOR
 

@@ -25,7 +25,7 @@ from channel_helpers import (
 
 from spdz.channels import addresses, memory_pair, reception, tcp, telling, tls
 from spdz.channels.telling import Teller, in_seconds, printable
-from spdz.errors import ChannelError, ChannelTimeout
+from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 AGAIN = r"; trying again for up to \S+ s"
 

@@ -27,7 +27,7 @@ from spdz.channels import tcp, tls
 from spdz.channels.frames import DType, FrameReader
 from spdz.channels.reception import MAX_HANDSHAKES, Reception
 from spdz.channels.socket_channel import _lost
-from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted
+from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted
 
 
 def reception(folders, *, wait=LONG, peer="bob"):

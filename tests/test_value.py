@@ -25,10 +25,10 @@ from spdz import (
     sqrt,
     truncate,
 )
-from spdz.bound import Bound
-from spdz.clear import Clear
-from spdz.coroutine import parallel
-from spdz.value import concatenate
+from spdz.arithmetic.bound import Bound
+from spdz.readings.clear import Clear
+from spdz.rounds.coroutine import parallel
+from spdz.values.value import concatenate
 
 N = 6
 X = np.array([0.5, -1.0, 2.0, 0.25, -0.125, 3.0])

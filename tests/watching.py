@@ -5,9 +5,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from spdz import Value, field
-from spdz.clear import Clear
-from spdz.party import Party
+from spdz import Value
+from spdz.arithmetic import field
+from spdz.readings.clear import Clear
+from spdz.readings.party import Party
 
 
 def within_bound(raw, bound):

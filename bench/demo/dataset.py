@@ -22,7 +22,7 @@ from importlib import resources
 
 import numpy as np
 
-from spdz.types import FloatArray, IntArray
+from spdz.foundations.types import FloatArray, IntArray
 
 ARCHIVE = "data/killian.g2o.zip"
 MEMBER = "killian.g2o"

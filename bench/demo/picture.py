@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from bench.demo.dataset import Run
 from bench.demo.places import DIFFERENT, SAME, Robot
 from bench.demo.scan_context import scan_points, wall_direction
-from spdz.types import FloatArray
+from spdz.foundations.types import FloatArray
 
 # Okabe and Ito's palette: told apart with every kind of colour blindness.
 ALICE_BLUE, BOB_ORANGE, RIGHT_GREEN, WRONG_PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from bench.demo.dataset import Run
 from bench.demo.scan_context import Background, polar_grid, quarter_turns, scan_points, wall_direction
-from spdz.types import FloatArray, IntArray
+from spdz.foundations.types import FloatArray, IntArray
 
 ALICE, BOB = range(0, 800), range(800, 1800)
 PUBLIC_FROM = 1800

@@ -20,9 +20,9 @@ from dealer.mission import deal_mission
 from protocols.candidate import is_candidate
 from protocols.catalog import Purpose
 from protocols.scores import S10
+from spdz.console.progress import progress_bar
+from spdz.foundations.types import Security
 from spdz.local import run_clear
-from spdz.progress import progress_bar
-from spdz.types import Security
 
 TILE = (50, 60)
 """Keyframes of Alice and of Bob in a job."""

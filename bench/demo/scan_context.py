@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from spdz.types import FloatArray
+from spdz.foundations.types import FloatArray
 
 RINGS, SECTORS = 20, 60
 DIMENSION = RINGS * SECTORS

@@ -16,7 +16,7 @@ from typing import TypeAlias, TypeVar
 
 from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.telling import Teller, ignore
-from spdz.errors import ChannelError
+from spdz.foundations.errors import ChannelError
 
 RETRY_SECONDS = 0.1
 _SLOW_SECONDS = 1.0  # a resolver that takes longer is told of

@@ -29,7 +29,7 @@ from spdz.channels.frames import (
     pack_header,
 )
 from spdz.channels.telling import in_seconds
-from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted, SpdzError
+from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted, SpdzError
 
 DEFAULT_TIMEOUT = 30.0
 ABORT_SECONDS = 1.0

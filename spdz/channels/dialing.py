@@ -10,7 +10,7 @@ from typing import TypeVar
 from spdz.channels.addresses import NotYet, Target, parse_address, patiently, resolve
 from spdz.channels.stream import describe
 from spdz.channels.telling import Teller, in_seconds
-from spdz.errors import ChannelError, ChannelTimeout
+from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 _ATTEMPT_SECONDS = 5.0  # one attempt to connect, where packets are dropped without an answer
 

@@ -28,7 +28,7 @@ from typing import Any, TypeAlias
 
 import numpy.typing as npt
 
-from spdz.errors import (
+from spdz.foundations.errors import (
     ChannelTimeout,
     MacCheckFailed,
     OutOfStep,
@@ -38,7 +38,7 @@ from spdz.errors import (
     TapeExhausted,
     TapeMismatch,
 )
-from spdz.types import Buffer
+from spdz.foundations.types import Buffer
 
 Payload: TypeAlias = Sequence[Buffer | npt.NDArray[Any]]
 """C-contiguous buffers whose concatenated bytes are a frame's payload."""

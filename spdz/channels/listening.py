@@ -8,7 +8,7 @@ from types import TracebackType
 
 from spdz.channels.addresses import NotYet, Target, parse_address, resolve
 from spdz.channels.stream import describe
-from spdz.errors import ChannelError
+from spdz.foundations.errors import ChannelError
 
 LOOK_UP_SECONDS = 5.0
 _PORT_TRIES = 16  # a port that is free at one address may be taken at another

@@ -6,7 +6,7 @@ from queue import Empty, SimpleQueue
 
 from spdz.channels.base import DEFAULT_TIMEOUT, Channel, remaining
 from spdz.channels.frames import MAX_FRAME, FrameReader
-from spdz.errors import ChannelClosed
+from spdz.foundations.errors import ChannelClosed
 
 Pipe = SimpleQueue[bytes | None]
 """Pieces of a byte stream, of any size; None is its end."""

@@ -18,7 +18,7 @@ from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.listening import Listener, accept_one, address_of, addresses_of
 from spdz.channels.stream import Stream, describe
 from spdz.channels.telling import Teller, in_seconds
-from spdz.errors import ChannelError, ChannelTimeout
+from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 MAX_HANDSHAKES = 32
 """Security limit: callers that a listener has under way; one more, and the oldest is dropped."""

@@ -8,7 +8,7 @@ import time
 from spdz.channels.base import DEFAULT_TIMEOUT, Channel, remaining
 from spdz.channels.frames import MAX_FRAME, FrameReader, merge_small
 from spdz.channels.stream import Stream, describe, is_about_a_certificate
-from spdz.errors import ChannelClosed, ChannelError, ChannelTimeout
+from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
 
 _SLICE = 256 << 10  # bytes offered to one send, so that both directions take turns
 _SPINS = 100

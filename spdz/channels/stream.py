@@ -13,7 +13,7 @@ from typing import TypeGuard
 
 from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.telling import in_seconds
-from spdz.errors import ChannelTimeout
+from spdz.foundations.errors import ChannelTimeout
 
 _DRAIN = 64 << 10
 

@@ -23,7 +23,7 @@ from spdz.channels.reception import Caller, receive
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.stream import PlainStream, Stream, complete, describe
 from spdz.channels.telling import Teller, ignore
-from spdz.errors import ChannelError
+from spdz.foundations.errors import ChannelError
 
 DEFAULT_WAIT = 60.0
 CALLER_GREETING = b"spdz caller 1\n"

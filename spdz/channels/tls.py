@@ -23,7 +23,7 @@ from spdz.channels.stream import complete, describe, is_about_a_certificate
 from spdz.channels.tcp import DEFAULT_WAIT
 from spdz.channels.telling import Teller, ignore
 from spdz.channels.tls_stream import TlsStream
-from spdz.errors import ChannelError
+from spdz.foundations.errors import ChannelError
 
 CA_FILE = "ca.pem"
 CERTIFICATE_FILE = "cert.pem"

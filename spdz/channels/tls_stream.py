@@ -18,7 +18,7 @@ import ssl
 from typing import Any, cast
 
 from spdz.channels.stream import Stream
-from spdz.errors import ProtocolViolation
+from spdz.foundations.errors import ProtocolViolation
 
 READ_BYTES = 64 << 10
 MAX_SILENT = 32 << 10

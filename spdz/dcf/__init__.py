@@ -6,10 +6,10 @@ is (:func:`spdz.dcf.format.digit_width`): with few keys calls are what costs, wi
 
 A tree has one level for each digit. A party's state at a node is a seed with control bits; on the path
 of a the parties' seeds are independent and their control bits differ (at the root they are the party's
-index), off the path both states are equal. H is the fixed-key hash of :mod:`spdz.prf`; where a control bit is
-set, a dealt correction word (CW) is XORed to what is hashed. At each node y = H(..) ^ (t CW) yields the
-payload Conv(y) = y mod p, and party 1 negates: off the path the two cancel, on the path the dealer chose the
-CW so that they leave a given g. At a node, T is the party with t = 1 and O the other.
+index), off the path both states are equal. H is the fixed-key hash of :mod:`spdz.arithmetic.prf`; where a
+control bit is set, a dealt correction word (CW) is XORed to what is hashed. At each node y = H(..) ^ (t CW)
+yields the payload Conv(y) = y mod p, and party 1 negates: off the path the two cancel, on the path the dealer
+chose the CW so that they leave a given g. At a node, T is the party with t = 1 and O the other.
 
 **Binary tree.** 127-bit seeds; t is the block's top bit. The child in direction d is H(s ^ (2^63 d + 1)), and
 where t = 1 the level's CW is XORed: one seed for both directions and a control bit for each. Node i yields

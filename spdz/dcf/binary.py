@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spdz import field
+from spdz.arithmetic import field
+from spdz.arithmetic.prf import FixedKeyHash
 from spdz.dcf.format import (
     SIGN,
     TOP,
@@ -16,8 +17,7 @@ from spdz.dcf.format import (
     hash_in_place,
     tiles,
 )
-from spdz.prf import FixedKeyHash
-from spdz.types import Block, FieldArray
+from spdz.foundations.types import Block, FieldArray
 
 _CHUNK = 2048  # paths at a time: their seeds on all levels stay near the second-level cache (measured)
 _ONE, _63 = np.uint64(1), np.uint64(63)

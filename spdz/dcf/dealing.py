@@ -6,7 +6,8 @@ import secrets
 
 import numpy as np
 
-from spdz import field
+from spdz.arithmetic import field
+from spdz.arithmetic.prf import FixedKeyHash
 from spdz.dcf import binary, radix
 from spdz.dcf.format import (
     HEADER,
@@ -18,8 +19,7 @@ from spdz.dcf.format import (
     digit_width,
     key_bytes,
 )
-from spdz.prf import FixedKeyHash
-from spdz.types import Block, FieldArray
+from spdz.foundations.types import Block, FieldArray
 
 
 def generate(roots0: Block, roots1: Block, threshold: Block, payload: FieldArray, bits: int) -> bytes:

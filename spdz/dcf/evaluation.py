@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spdz import field
+from spdz.arithmetic import field
+from spdz.arithmetic.prf import FixedKeyHash
 from spdz.dcf import binary, radix
 from spdz.dcf.format import (
     HEADER,
@@ -16,8 +17,7 @@ from spdz.dcf.format import (
     digit_width,
     key_bytes,
 )
-from spdz.prf import FixedKeyHash
-from spdz.types import Block, Buffer, FieldArray
+from spdz.foundations.types import Block, Buffer, FieldArray
 
 
 def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w: int) -> FieldArray:

@@ -8,8 +8,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from spdz.prf import FixedKeyHash
-from spdz.types import Block, Shape
+from spdz.arithmetic.prf import FixedKeyHash
+from spdz.foundations.types import Block, Shape
 
 WORD = np.dtype("<u8")
 INDEX_BITS = 32

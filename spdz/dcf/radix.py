@@ -6,7 +6,8 @@ import secrets
 
 import numpy as np
 
-from spdz import field
+from spdz.arithmetic import field
+from spdz.arithmetic.prf import FixedKeyHash, expand
 from spdz.dcf.format import (
     SIGN,
     TOP,
@@ -19,8 +20,7 @@ from spdz.dcf.format import (
     level_count,
     tiles,
 )
-from spdz.prf import FixedKeyHash, expand
-from spdz.types import Block, FieldArray
+from spdz.foundations.types import Block, FieldArray
 
 _KIND = np.uint64(8)
 _TILE = 16384  # payload blocks at a time (measured)

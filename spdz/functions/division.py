@@ -5,15 +5,15 @@ from __future__ import annotations
 from fractions import Fraction
 from math import inf
 
-from spdz.coroutine import parallel
+from spdz.arithmetic.public import fraction_bits
 from spdz.functions.power import power
 from spdz.functions.roots import RESULT_BITS
 from spdz.gates.masking import mask
 from spdz.gates.monomial import multiply
 from spdz.gates.truncation import truncate
-from spdz.public import fraction_bits
-from spdz.refusals import expect_secret
-from spdz.value import Value
+from spdz.rounds.coroutine import parallel
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 
 async def reciprocal(u: Value, *, positive: bool = False) -> Value:

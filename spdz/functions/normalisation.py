@@ -12,8 +12,8 @@ from spdz.gates.comparison import absolute
 from spdz.gates.monomial import multiply
 from spdz.gates.product import dot
 from spdz.gates.truncation import truncate
-from spdz.refusals import expect_secret
-from spdz.value import Value, concatenate, split
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value, concatenate, split
 
 NORMALISED_BITS = 24
 """Fractional bits of a normalised vector's coordinates."""

@@ -30,16 +30,16 @@ from math import ceil
 import gmpy2
 import numpy as np
 
-from spdz.bound import Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.arithmetic.bound import Bound
 from spdz.functions.segments import DEGREE, MANTISSA_BITS, Segment, Table, table
 from spdz.gates.masking import mask
 from spdz.gates.pieces import Function, Pieces
 from spdz.gates.piecewise import piecewise
 from spdz.gates.polynomial import polynomial
 from spdz.gates.truncation import truncate
-from spdz.refusals import expect_secret
-from spdz.value import Value, concatenate, split
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value, concatenate, split
 
 POWERS = (Fraction(1, 2), Fraction(-1, 2), Fraction(-1))
 

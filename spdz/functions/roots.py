@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from spdz.coroutine import parallel
 from spdz.functions.power import Power, power
 from spdz.gates.masking import mask
 from spdz.gates.monomial import multiply
 from spdz.gates.truncation import truncate
-from spdz.refusals import expect_secret
-from spdz.value import Value
+from spdz.rounds.coroutine import parallel
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 RESULT_BITS = 22
 """Fractional bits that a mantissa keeps."""

@@ -1,6 +1,6 @@
 """Gates: the operations on secret values that need dealt correlations or openings.
 
-Each module holds one gate in its three readings (:class:`spdz.engine.Gate`) and the function that
+Each module holds one gate in its three readings (:class:`spdz.values.engine.Gate`) and the function that
 protocols call. Nothing here knows who else is running: a new gate needs no change in an engine.
 """
 

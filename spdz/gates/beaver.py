@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import prod
 
-from spdz.bound import NOTHING, Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.arithmetic.bound import NOTHING, Bound
+from spdz.foundations.types import Shape
 from spdz.gates.product import DOT, ELEMENTWISE, Contraction, masked_product
-from spdz.refusals import expect_secret
-from spdz.types import Shape
-from spdz.value import Value
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 
 @dataclass(frozen=True, slots=True)

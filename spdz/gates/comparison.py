@@ -2,8 +2,8 @@
 
 All are piecewise linear functions (:mod:`spdz.gates.piecewise`): local on masked values, such as inputs and
 their differences; one round on computed values, which are masked first. Exact. For values of b - 1 bits (the
-public bound, :mod:`spdz.bound`) an entry costs a DCF key of b - 1 levels, so a tighter ``max_norm`` makes all
-of them cheaper.
+public bound, :mod:`spdz.arithmetic.bound`) an entry costs a DCF key of b - 1 levels, so a tighter
+``max_norm`` makes all of them cheaper.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from functools import lru_cache
 
 import numpy.typing as npt
 
-from spdz.bound import Bound
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.public import limit, magnitude, rounded
 from spdz.gates.masking import mask
 from spdz.gates.pieces import Function, Pieces
 from spdz.gates.piecewise import piecewise
-from spdz.public import limit, magnitude, rounded
-from spdz.refusals import expect_secret, not_secret, refuse_slips
-from spdz.value import Value, aligned
+from spdz.values.refusals import expect_secret, not_secret, refuse_slips
+from spdz.values.value import Value, aligned
 
 _AT_LEAST_0 = Pieces([0], Function((0, 1), (0, 0), 0, 1, is_bit=True))
 _SIGN = Pieces([0, 1], Function((-1, 1, 1), (0, 0, 0), 0, 1))

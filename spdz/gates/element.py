@@ -13,8 +13,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from spdz import field
-from spdz.types import FieldArray, Shape
+from spdz.arithmetic import field
+from spdz.foundations.types import FieldArray, Shape
 
 _LONG_ROW = 256  # from so many elements on, rows times scalars are scaled row by row (measured)
 

@@ -1,9 +1,9 @@
 """Masked input: party i learns r from the dealer and sends eps = x - r, once.
 
 Cost: one round for the inputs of both parties, one field element a coordinate (half of one for short inputs
-in the semi-honest mode, :mod:`spdz.input_mask`), and nothing more however often the masked value is used: the
-mask r *is* the Beaver mask of every later product (function-dependent preprocessing: Ben-Efraim, Nielsen,
-Omri, "Turbospeedz", ACNS 2019).
+in the semi-honest mode, :mod:`spdz.values.input_mask`), and nothing more however often the masked value is
+used: the mask r *is* the Beaver mask of every later product (function-dependent preprocessing: Ben-Efraim,
+Nielsen, Omri, "Turbospeedz", ACNS 2019).
 
 Security: a long mask makes eps uniform in F_p whatever x is. A malicious owner can choose any x in F_p^N and
 nothing else: with two parties there is nobody to whom it could send a second, different eps.
@@ -17,15 +17,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spdz import field, input_mask
-from spdz.bound import Bound
-from spdz.coroutine import exchange
-from spdz.engine import ClearText, Evaluation, Gate, Input, Recipe
-from spdz.errors import ProtocolViolation
-from spdz.fixed_point import FRACTION_BITS
-from spdz.types import FieldArray, IntArray
-from spdz.value import Value
-from spdz.wire import NOT_CANONICAL, to_bytes
+from spdz.arithmetic import field
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.fixed_point import FRACTION_BITS
+from spdz.foundations.errors import ProtocolViolation
+from spdz.foundations.types import FieldArray, IntArray
+from spdz.rounds.coroutine import exchange
+from spdz.rounds.wire import NOT_CANONICAL, to_bytes
+from spdz.values import input_mask
+from spdz.values.engine import ClearText, Evaluation, Gate, Input, Recipe
+from spdz.values.value import Value
 
 
 class MaskedInput(Gate):

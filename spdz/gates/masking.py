@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from spdz import field
-from spdz.bound import NOTHING, Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
-from spdz.field import P
-from spdz.refusals import expect_secret
-from spdz.rings import Ring
-from spdz.types import FieldArray
-from spdz.value import Value
+from spdz.arithmetic import field
+from spdz.arithmetic.bound import NOTHING, Bound
+from spdz.arithmetic.field import P
+from spdz.arithmetic.rings import Ring
+from spdz.foundations.types import FieldArray
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 FULL = 127
 """Bits of a fresh mask."""

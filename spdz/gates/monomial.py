@@ -22,16 +22,16 @@ from math import prod
 
 import numpy as np
 
-from spdz import field
-from spdz.bound import Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.arithmetic import field
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.public import limit
+from spdz.foundations.types import FieldArray, Shape
 from spdz.gates.element import Element, pack, times, total, unpack
 from spdz.gates.masking import tightened
 from spdz.gates.product import NOT_MASKED
-from spdz.public import limit
-from spdz.refusals import expect_secret
-from spdz.types import FieldArray, Shape
-from spdz.value import Value
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 KIND = "product"
 

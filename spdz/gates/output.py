@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from spdz import field
-from spdz.coroutine import check
-from spdz.engine import ClearText, Engine, Evaluation, Gate, Recipe
-from spdz.errors import ProtocolViolation, TapeMismatch
-from spdz.fixed_point import decode
-from spdz.value import Value
+from spdz.arithmetic import field
+from spdz.arithmetic.fixed_point import decode
+from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.rounds.coroutine import check
+from spdz.values.engine import ClearText, Engine, Evaluation, Gate, Recipe
+from spdz.values.value import Value
 
 
 class Output(Gate):

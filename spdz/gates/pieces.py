@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from spdz import field, inner_product
-from spdz.bound import Bound
-from spdz.field import P
-from spdz.types import BigIntArray, Block, Shape
+from spdz.arithmetic import field, inner_product
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.field import P
+from spdz.foundations.types import BigIntArray, Block, Shape
 
 HALF = (P + 1) // 2
 """The inverse of 2 in F_p."""

@@ -26,13 +26,14 @@ from math import prod
 import numpy as np
 import numpy.typing as npt
 
-from spdz import dcf, field, inner_product
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz import dcf
+from spdz.arithmetic import field, inner_product
+from spdz.foundations.types import FieldArray
 from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits
 from spdz.gates.pieces import HALF, Pieces
 from spdz.gates.truncation import low_bits
-from spdz.types import FieldArray
-from spdz.value import Value
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.value import Value
 
 KIND = "comparison"
 

@@ -18,12 +18,12 @@ from math import comb, prod
 
 import numpy as np
 
-from spdz import field
-from spdz.bound import Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.arithmetic import field
+from spdz.arithmetic.bound import Bound
+from spdz.foundations.types import FieldArray
 from spdz.gates.element import Element, pack, plus, times, total
-from spdz.types import FieldArray
-from spdz.value import Value
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.value import Value
 
 KIND = "polynomial"
 _FEW = 32  # entries up to which Python integers are faster than array kernels (measured)

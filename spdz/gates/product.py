@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from spdz import field, inner_product
-from spdz.bound import Bound
-from spdz.engine import ClearText, Evaluation, Gate, Recipe, Share
-from spdz.refusals import expect_secret
-from spdz.types import BigIntArray, FieldArray, Shape
-from spdz.value import Value
+from spdz.arithmetic import field, inner_product
+from spdz.arithmetic.bound import Bound
+from spdz.foundations.types import BigIntArray, FieldArray, Shape
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe, Share
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ def _dot_shape(x: Shape, y: Shape) -> Shape:
 def _clear_dot(x: BigIntArray, y: BigIntArray) -> BigIntArray:
     """Exact integer dot product over the last axis.
 
-    int64 arrays, which are below 2^40 (:func:`spdz.rings.whole`), are split at 20 bits: each partial product
-    stays below 2^40, and a sum of up to 2^22 of them below 2^62.
+    int64 arrays, which are below 2^40 (:func:`spdz.arithmetic.rings.whole`), are split at 20 bits: each
+    partial product stays below 2^40, and a sum of up to 2^22 of them below 2^62.
     """
     if x.dtype == object or y.dtype == object or x.shape[-1] > 1 << 22:
         return np.asarray((x.astype(object) * y).sum(axis=-1), dtype=object)

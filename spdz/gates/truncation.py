@@ -22,14 +22,15 @@ from math import prod
 
 import numpy as np
 
-from spdz import dcf, field
-from spdz.bound import Bound, root
-from spdz.engine import ClearText, Evaluation, Gate, Recipe
+from spdz import dcf
+from spdz.arithmetic import field
+from spdz.arithmetic.bound import Bound, root
+from spdz.arithmetic.public import fraction_bits
+from spdz.foundations.types import FieldArray
 from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits, mask
-from spdz.public import fraction_bits
-from spdz.refusals import expect_secret
-from spdz.types import FieldArray
-from spdz.value import Value
+from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.refusals import expect_secret
+from spdz.values.value import Value
 
 KIND, EXACT = "truncation", "exact truncation"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
-from spdz.errors import TapeError
+from spdz.foundations.errors import TapeError
 
 _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
 

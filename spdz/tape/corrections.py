@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spdz.errors import TapeDamaged
+from spdz.foundations.errors import TapeDamaged
 from spdz.tape.advice import replacement
 from spdz.tape.format import CHUNK, Layout, TapeHeader
 

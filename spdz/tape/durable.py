@@ -12,7 +12,7 @@ import secrets
 import time
 from pathlib import Path
 
-from spdz.types import Buffer
+from spdz.foundations.types import Buffer
 
 PRIVATE_FILE = 0o600
 PRIVATE_FOLDER = 0o700

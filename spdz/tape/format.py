@@ -30,9 +30,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, get_args
 
-from spdz.errors import TapeDamaged
+from spdz.foundations.errors import TapeDamaged
+from spdz.foundations.types import Json, Security
 from spdz.tape.advice import cannot_open, replacement
-from spdz.types import Json, Security
 
 MAGIC = b"spdztape"
 VERSION = 1

@@ -18,7 +18,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from spdz.errors import TapeDamaged, TapeError, TapeInUse
+from spdz.foundations.errors import TapeDamaged, TapeError, TapeInUse
 from spdz.tape.durable import PRIVATE_FILE, make_private_folder, replace_file, try_lock, unlock
 
 _LONGEST = 1024  # bytes read of a mark file: a whole one has at most 240

@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from spdz.errors import TapeDamaged, TapeError
+from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.tape.advice import cannot_open, replacement
 from spdz.tape.durable import is_locked
 from spdz.tape.format import SECTOR, Layout, TapeHeader, read_header

@@ -27,8 +27,15 @@ from pathlib import Path
 from threading import Lock
 from types import TracebackType
 
-from spdz import prf
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeExhausted, TapeInUse, TapeMismatch
+from spdz.arithmetic import prf
+from spdz.foundations.errors import (
+    TapeDamaged,
+    TapeDestroyed,
+    TapeError,
+    TapeExhausted,
+    TapeInUse,
+    TapeMismatch,
+)
 from spdz.tape.advice import cannot_open, replacement
 from spdz.tape.corrections import read_corrections
 from spdz.tape.durable import try_lock, unlock
@@ -185,13 +192,7 @@ class Tape:
             if count == 0:
                 return []
             corrections = read_corrections(
-                self._file,
-                self._path,
-                self.header,
-                self._layout,
-                state.cursor,
-                count,
-                used=state.cursor > 0,
+                self._file, self._path, self.header, self._layout, state.cursor, count, used=state.cursor > 0
             )
             jobs: list[Job] = []
             for chain, correction in zip(self._advance(state.cursor + count), corrections, strict=True):

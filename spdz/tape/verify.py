@@ -10,7 +10,7 @@ from collections.abc import Callable
 from io import FileIO
 from pathlib import Path
 
-from spdz.errors import TapeError
+from spdz.foundations.errors import TapeError
 from spdz.tape.advice import cannot_open
 from spdz.tape.corrections import read_corrections
 from spdz.tape.format import read_header

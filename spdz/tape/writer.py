@@ -7,11 +7,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from spdz import prf
+from spdz.arithmetic import prf
+from spdz.foundations.types import Buffer
 from spdz.tape.durable import create_private, make_private_folder, partial_name, sync, sync_folder
 from spdz.tape.format import CHUNK, SECTOR, Layout, TapeHeader, encode_header
 from spdz.tape.state import State, encode_slot
-from spdz.types import Buffer
 
 _BUFFER = 1 << 18
 

@@ -1,0 +1,1 @@
+"""Numbers: the field, exact products, public bounds, fixed point, public numbers, pseudo-random bytes."""

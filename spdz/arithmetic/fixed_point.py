@@ -1,0 +1,157 @@
+"""Fixed point numbers sfix 64/16: x stands for the integer round(x * 2^16), signed, in 64 bits.
+
+Inputs are checked where they enter. A product of two inputs is exact as long as each has its L2 norm within
+the program's bound: by Cauchy-Schwarz every dot product is then below the product of the two bounds, at
+most (2^38 + sqrt(n) / 2 + 1)^2, which leaves 2^50 of F_p's range unused for every practical n.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import isqrt, ldexp
+from typing import overload
+
+import numpy as np
+import numpy.typing as npt
+
+from spdz.arithmetic import field
+from spdz.arithmetic.public import refuse_masked
+from spdz.foundations.types import BigIntArray, FieldArray, FloatArray, IntArray
+
+FRACTION_BITS = 16
+"""Fractional bits of an input."""
+
+MAX_NORM = 2.0**22
+"""The largest L2 norm that a program may allow: raw integers then stay below 2^39."""
+
+
+@lru_cache(maxsize=256)
+def norm_bound(max_norm: float, n: int) -> int:
+    """The largest L2 norm of a quantised vector, in raw units of 2^-16.
+
+    Rounding moves each coordinate by at most half a unit, so it lengthens a vector by at most sqrt(n) / 2:
+    the bound is ceil(max_norm * 2^16) + ceil(sqrt(n) / 2), in exact arithmetic, the same on every machine.
+
+    Args:
+        max_norm: The largest L2 norm of a vector before it is quantised.
+        n: Number of coordinates.
+
+    Raises:
+        ValueError: unless 0 < max_norm <= MAX_NORM and n >= 1.
+    """
+    if not 0 < max_norm <= MAX_NORM:
+        raise ValueError(f"max_norm must be above 0 and at most {MAX_NORM:.0f}, not {max_norm}")
+    if n < 1:
+        raise ValueError(f"a vector needs at least one coordinate, not {n}")
+    whole, rest = divmod(ldexp(max_norm, FRACTION_BITS), 1.0)  # exact: a power of two times a float
+    return int(whole) + (rest > 0) + (isqrt(n - 1) + 2) // 2
+
+
+def encode(x: npt.ArrayLike, *, max_norm: float, name: str = "descriptor") -> IntArray:
+    """Check and quantise vectors: round(x * 2^16), ties to even.
+
+    Args:
+        x: Real floats or integers of shape S + (N,), N >= 1, no axis empty.
+        max_norm: The largest L2 norm over the last axis.
+        name: What to call the data in an error message. The messages hold positions, never values.
+
+    Returns:
+        Raw integers of the same shape, each row's L2 norm at most ``norm_bound(max_norm, N)``.
+
+    Raises:
+        ValueError: for anything that is not real, finite and within the norm.
+    """
+    real = _real_array(x, name)
+    n = real.shape[-1]
+    limit = norm_bound(max_norm, n) ** 2
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = real * float(1 << FRACTION_BITS)
+        np.rint(scaled, out=scaled)
+        squares = np.asarray(np.vecdot(scaled, scaled))
+    # The squares and n - 1 sums err by less than n * 2^-52 relatively; NaN and infinity are not below.
+    slack = n * 2.0**-52
+    if not (squares <= limit * (1 - slack)).all():
+        _explain_or_accept(real, scaled, squares, limit, slack, max_norm, name)
+    return scaled.astype(np.int64)
+
+
+def _real_array(x: npt.ArrayLike, name: str) -> FloatArray:
+    refuse_masked(x, name)
+    try:
+        array = np.asarray(x)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected a rectangular array of real numbers") from error
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{name}: expected real numbers, got dtype {array.dtype}; convert them to float64")
+    if array.ndim == 0:
+        raise ValueError(f"{name}: expected a vector, got a single number; wrap it in a list")
+    if array.size == 0:
+        raise ValueError(f"{name}: expected at least one number, got an empty array of shape {array.shape}")
+    with np.errstate(over="ignore"):
+        return array.astype(np.float64, copy=False)
+
+
+def _explain_or_accept(
+    real: FloatArray,
+    scaled: FloatArray,
+    squares: FloatArray,
+    limit: int,
+    slack: float,
+    max_norm: float,
+    name: str,
+) -> None:
+    """Raise for the first bad row; return if exact arithmetic finds all rows within the limit."""
+    finite = np.isfinite(real)
+    if not finite.all():
+        where = _position(np.argwhere(~finite)[0])
+        raise ValueError(f"{name}: the value at {where} is not finite (NaN or infinity); check its source")
+    for row in np.argwhere(~(squares <= limit * (1 - slack))):
+        square = squares[tuple(row)]
+        # Within the slack of the limit, |coordinate| < 2^39, so that int64 holds it.
+        if square <= limit * (1 + slack):
+            coordinates = scaled[tuple(row)].astype(np.int64).tolist()
+            if sum(value * value for value in coordinates) <= limit:
+                continue
+        vector = f"the vector at {_position(row)}" if row.size else "the vector"
+        raise ValueError(
+            f"{name}: {vector} has an L2 norm above {max_norm}, the largest that this program allows"
+            f"{_excess(real[tuple(row)], max_norm)}; normalise it in float64, "
+            "`x / np.linalg.norm(x, axis=-1, keepdims=True)` with `x = np.asarray(x, np.float64)`, "
+            "or deal for a larger maximum norm"
+        )
+
+
+def _excess(vector: FloatArray, max_norm: float) -> str:
+    """How much too long: 0.0914 % tells rounding in float16 from a vector that was never normalised."""
+    with np.errstate(over="ignore"):
+        largest = np.abs(vector).max()  # so that no square overflows
+        ratio = float(largest / max_norm * np.linalg.norm(vector / largest))
+    if ratio < 2:
+        return f", by {100 * (ratio - 1):.3g} %"
+    return f", by a factor of {ratio:.3g}" if np.isfinite(ratio) else ""
+
+
+def _position(where: npt.NDArray[np.intp]) -> str:
+    return f"index {where[0] if where.size == 1 else tuple(where.tolist())}"
+
+
+@overload
+def decode(raw: int, frac: int) -> float: ...
+@overload
+def decode(raw: BigIntArray, frac: int) -> FloatArray: ...
+def decode(raw: int | BigIntArray, frac: int) -> float | FloatArray:
+    """Integers with so many fractional bits as floats: raw / 2^frac, rounded once, to the nearest.
+
+    Args:
+        raw: A Python integer, or an object array of them of shape S.
+        frac: Number of fractional bits.
+    """
+    one = 1 << frac
+    if isinstance(raw, int):
+        return raw / one
+    return np.array([value / one for value in raw.ravel().tolist()], dtype=np.float64).reshape(raw.shape)
+
+
+def decode_signed(a: FieldArray, frac: int) -> FloatArray:
+    """Field elements of shape S, read as signed integers with so many fractional bits, as floats."""
+    return decode(field.centered(a), frac)

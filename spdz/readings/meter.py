@@ -1,0 +1,305 @@
+"""The meter: a program read for its costs and its identity, without data.
+
+It reads the dealer's text of every gate with *symbols* in place of masks, so it knows beforehand what
+the dealer will deal and what the parties will draw: the length of the pads and corrections, rounds,
+elements and correlations. The symbols double as the program's fingerprint: two programs have the same
+recipe if and only if one's tapes serve the other. Public constants that are added (thresholds) are left
+out of the recipe, and are in the text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from spdz import dcf
+from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.fixed_point import FRACTION_BITS
+from spdz.arithmetic.public import Raw
+from spdz.foundations.types import FieldArray, Security, Shape, check_security
+from spdz.readings.program import Program, declare, run
+from spdz.readings.stock import Stock
+from spdz.rounds.coroutine import Check, Request, exchange, run_silently
+from spdz.rounds.wire import ELEMENT_BYTES
+from spdz.values.engine import Gate, Input, Recipe
+from spdz.values.value import Value
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What the meter saw.
+
+    Attributes:
+        inputs: Both inputs, without data.
+        pad_bytes: Pseudo-random bytes that each party draws a job.
+        correction_bytes: Stored bytes that each party draws a job.
+        rounds: Exchanges, MAC checks included.
+        elements_sent: Field elements that each party sends.
+        correlations: Correlations used, by kind.
+        recipe: Hex fingerprint of what must be dealt.
+        text: Hex fingerprint of the program with its public constants.
+    """
+
+    inputs: tuple[Input, Input]
+    pad_bytes: tuple[int, int]
+    correction_bytes: tuple[int, int]
+    rounds: int
+    elements_sent: tuple[int, int]
+    correlations: Counter[str]
+    recipe: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Symbol:
+    """A value's identity: how it is computed, without and with the public constants."""
+
+    recipe: bytes
+    text: bytes
+
+
+def _digest(*items: object) -> bytes:
+    """Hash a sequence of byte strings, numbers and names, unambiguously."""
+    encoded = (item if isinstance(item, bytes) else repr(item).encode() for item in items)
+    return hashlib.sha256(b"".join(len(item).to_bytes(8, "little") + item for item in encoded)).digest()
+
+
+def _symbol(*items: object) -> Symbol:
+    """The symbol of an expression whose operands may be symbols."""
+    recipe, text = (
+        _digest(*(getattr(item, side) if isinstance(item, Symbol) else item for item in items))
+        for side in ("recipe", "text")
+    )
+    return Symbol(recipe, text)
+
+
+def _public(raw: Raw) -> tuple[Shape, bytes]:
+    array = np.asarray(raw, dtype=object)
+    return array.shape, _digest(*(int(entry) for entry in array.flat))
+
+
+class SymbolRing:
+    """Linear maps on symbols."""
+
+    def add(self, a: Symbol, b: Symbol) -> Symbol:
+        """Sum."""
+        return _symbol("add", a, b)
+
+    def sub(self, a: Symbol, b: Symbol) -> Symbol:
+        """Difference."""
+        return _symbol("sub", a, b)
+
+    def neg(self, a: Symbol) -> Symbol:
+        """Negation."""
+        return _symbol("neg", a)
+
+    def scale(self, a: Symbol, factor: Raw) -> Symbol:
+        """Product with public numbers, which the dealer must know."""
+        return _symbol("scale", a, *_public(factor))
+
+    def sum(self, a: Symbol, axis: int) -> Symbol:
+        """Sum over an axis."""
+        return _symbol("sum", a, axis)
+
+    def index(self, a: Symbol, key: tuple[Any, ...]) -> Symbol:
+        """Indexing."""
+        return _symbol("index", a, key)
+
+    def reshape(self, a: Symbol, shape: Shape) -> Symbol:
+        """Another shape."""
+        return _symbol("reshape", a, shape)
+
+    def broadcast(self, a: Symbol, shape: Shape) -> Symbol:
+        """A larger shape."""
+        return _symbol("broadcast", a, shape)
+
+    def concatenate(self, parts: Sequence[Symbol], shapes: Sequence[Shape]) -> Symbol:
+        """End to end."""
+        return _symbol("concatenate", *parts, *shapes)
+
+
+class Meter(Recipe):
+    """The dealer's reading without data."""
+
+    def __init__(self, security: Security) -> None:
+        check_security(security)
+        self.security = security
+        self.ring = SymbolRing()
+        self.pad_bytes, self.correction_bytes = [0, 0], [0, 0]
+        self.elements_sent = [0, 0]
+        self.rounds = 0
+        self.correlations: Counter[str] = Counter()
+        self.trace: list[Symbol] = []
+        self._unchecked = False
+
+    @property
+    def has_unchecked_openings(self) -> bool:
+        """Whether an opening waits for a check."""
+        return self._unchecked
+
+    def read(self, gate: Gate, *operands: Any) -> Any:
+        """Read the dealer's text."""
+        return gate.deal(self, *operands)
+
+    def shared(self, x: Value) -> Value:
+        """The same symbol as a shared value."""
+        return Value(self, x.parts, x.shape, x.frac, x.bound, is_bit=x.is_bit)
+
+    def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
+        """Only the text sees a public constant."""
+        (symbol,) = x.parts
+        return (Symbol(symbol.recipe, _digest("plus", symbol.text, *_public(raw))),)
+
+    def shared_value(
+        self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
+    ) -> Value:
+        """A new symbol made of the operands'."""
+        symbol = self._note(kind, shape, frac, *(operand.parts[0] for operand in of))
+        return Value(self, (symbol,), shape, frac, bound, is_bit=is_bit)
+
+    def masked_value(
+        self,
+        kind: str,
+        of: tuple[Value, ...],
+        shape: Shape,
+        frac: int,
+        bound: Bound,
+        make: Callable[[], FieldArray],
+        *,
+        mask_bits: int = 127,
+        count: tuple[str, int] | None = None,
+    ) -> Value:
+        """A new symbol, as for a shared value."""
+        self.authenticated(shape, make, of=of, count=count)
+        symbol = self._note(kind, shape, frac, *(operand.parts[0] for operand in of))
+        return Value(self, (symbol,), shape, frac, bound, masked=True, mask_bits=mask_bits)
+
+    def input_mask(self, source: Input) -> Value:
+        """N pad elements at the owner; with MACs N more at the peer and N stored at the owner."""
+        size = prod(source.shape)
+        self._draw(source.owner, pad=size)
+        if self.malicious:
+            self._draw(1 - source.owner, pad=size)
+            self._draw(source.owner, correction=size)
+        self.correlations["input mask"] += size
+        symbol = self._note("input", source.owner, source.shape, source.norm, len(self.trace))
+        bound = Bound.of_norm(source.norm)
+        bits = self.input_mask_bits(source)
+        return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True, mask_bits=bits)
+
+    def authenticated(
+        self,
+        shape: Shape,
+        make: Callable[[], FieldArray],
+        *,
+        of: tuple[Value, ...] = (),
+        count: tuple[str, int] | None = None,
+    ) -> None:
+        """One pad element at either party, and one stored where MACs are."""
+        self._note("dealt", shape, count, *(operand.parts[0] for operand in of))
+        size = prod(shape)
+        self._draw(0, pad=size)
+        self._draw(1, correction=size)
+        if self.malicious:
+            self._draw(1, pad=size)
+            self._draw(0, correction=size)
+        if count is not None:
+            self.correlations[count[0]] += count[1]
+
+    def triple(
+        self,
+        kind: str,
+        shape: Shape,
+        product_shape: Shape,
+        product: Callable[[FieldArray, FieldArray], FieldArray],
+    ) -> None:
+        """Random a and b cost pads alone (and MAC corrections); the product is an authenticated value."""
+        self._note(kind, shape, product_shape)
+        for _ in range(2):
+            self._draw(0, pad=prod(shape))
+            self._draw(1, pad=prod(shape))
+            if self.malicious:
+                self._draw(1, pad=prod(shape))
+                self._draw(0, correction=prod(shape))
+        self.authenticated(product_shape, lambda: product(None, None), count=(kind, prod(product_shape)))  # type: ignore[arg-type]
+
+    def uniform_below(self, limit: int, shape: Shape) -> FieldArray:
+        """No data."""
+        return np.zeros((0, 2), dtype=np.uint64)
+
+    def comparison_key(
+        self, shape: Shape, bits: int, width: int, make: Callable[[], tuple[FieldArray, FieldArray]]
+    ) -> None:
+        """A root seed at either party, the same correction words at both."""
+        self._note("comparison key", shape, bits, width)
+        size, payloads = prod(shape), 2 * width if self.malicious else width
+        for party in (0, 1):
+            self._draw(party, pad=size)
+            self.correction_bytes[party] += dcf.key_bytes(size, bits, payloads)
+
+    async def round(self, sent: tuple[int, int]) -> None:
+        """Count one round."""
+        for party in (0, 1):
+            self.elements_sent[party] += sent[party]
+        await exchange([], 0, 0)
+
+    async def opening(self, elements: int) -> None:
+        """Count one round whose openings wait for a check."""
+        self._unchecked = self.malicious
+        await self.round((elements, elements))
+
+    def _note(self, *items: object) -> Symbol:
+        """Add a draw or a result to the trace, whose order is the drawing order."""
+        symbol = _symbol(*items)
+        self.trace.append(symbol)
+        return symbol
+
+    def _draw(self, party: int, *, pad: int = 0, correction: int = 0) -> None:
+        self.pad_bytes[party] += ELEMENT_BYTES * pad
+        self.correction_bytes[party] += ELEMENT_BYTES * correction
+
+    def on_request(self, request: Request) -> None:
+        """See the rounds as the outermost driver does."""
+        self.rounds += 1
+        if isinstance(request, Check):
+            self._unchecked = False
+
+
+def measure(program: Program, shapes: tuple[Shape, Shape], security: Security) -> Plan:
+    """Read a program with the meter.
+
+    Args:
+        program: The program.
+        shapes: Shapes of party 0's and party 1's input.
+        security: The security model.
+
+    Returns:
+        What the dealer will deal and the parties will draw and send.
+    """
+    meter = Meter(security)
+    inputs = declare(program, shapes)
+    run_silently(run(meter, program, inputs), meter.on_request)
+    kind = (security, shapes)
+    return Plan(
+        inputs=inputs,
+        pad_bytes=(meter.pad_bytes[0], meter.pad_bytes[1]),
+        correction_bytes=(meter.correction_bytes[0], meter.correction_bytes[1]),
+        rounds=meter.rounds,
+        elements_sent=(meter.elements_sent[0], meter.elements_sent[1]),
+        correlations=meter.correlations,
+        recipe=_digest("recipe", kind, *(symbol.recipe for symbol in meter.trace)).hex(),
+        text=_digest("text", kind, *(symbol.text for symbol in meter.trace)).hex(),
+    )
+
+
+def measure_stock(stock: Stock, security: Security) -> tuple[int, int]:
+    """Pad bytes of both parties for a stock of triples."""
+    meter = Meter(security)
+    stock.deal(meter)
+    return meter.pad_bytes[0], meter.pad_bytes[1]

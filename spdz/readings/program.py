@@ -1,0 +1,83 @@
+"""Programs: a protocol from two private inputs to one opened result.
+
+A program is any ``async def program(engine, x, y)`` that returns a value, x belonging to party 0 and y to
+party 1. It may carry an attribute ``max_norm`` (:data:`spdz.arithmetic.fixed_point.MAX_NORM` where it does
+not): the largest L2 norm along the last axis that an input may have. Inputs are masked before the program
+runs and its result is opened after it, so a program can neither mask an input twice nor output unchecked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Mapping, Sequence
+from inspect import isawaitable
+from typing import Any, Protocol
+
+from spdz.arithmetic.fixed_point import MAX_NORM, encode, norm_bound
+from spdz.foundations.types import IntArray, Shape
+from spdz.gates.inputs import MaskedInput
+from spdz.gates.output import output
+from spdz.values.engine import Engine, Input
+from spdz.values.refusals import described
+from spdz.values.value import Value
+
+
+class Program(Protocol):
+    """What the engine runs."""
+
+    def __call__(self, engine: Engine, x: Value, y: Value, /) -> Awaitable[Value]:
+        """Compute on x (party 0's) and y (party 1's)."""
+
+
+def max_norm(program: Program) -> float:
+    """The largest L2 norm of an input of this program."""
+    return float(getattr(program, "max_norm", MAX_NORM))
+
+
+def quantise(program: Program, data: Any, name: str) -> IntArray:
+    """Check and quantise one party's input for a program; raises :class:`ValueError` for bad input."""
+    return encode(data, max_norm=max_norm(program), name=name)
+
+
+def declare(
+    program: Program, shapes: tuple[Shape, Shape], data: Mapping[int, IntArray] | None = None
+) -> tuple[Input, Input]:
+    """Both inputs of a program, with the quantised data of the parties in ``data``."""
+    known = data or {}
+    first, second = (
+        Input(owner, shape, norm_bound(max_norm(program), shape[-1]), known.get(owner))
+        for owner, shape in enumerate(shapes)
+    )
+    return first, second
+
+
+async def run(engine: Engine, program: Program, inputs: Sequence[Input]) -> Any:
+    """Mask the inputs, run the program, open its result."""
+    x, y = await engine.read(MaskedInput(), *inputs)
+    return await output(engine, await result_of("program", program, engine, x, y))
+
+
+async def result_of(kind: str, function: Program, engine: Engine, x: Value, y: Value) -> Value:
+    """Await a program, or a part of one that has its form.
+
+    Args:
+        kind: What the function is called where it is at fault.
+        function: An ``async def function(engine, x, y)``.
+        engine: The reading.
+        x: Party 0's value.
+        y: Party 1's value.
+
+    Returns:
+        Its result.
+
+    Raises:
+        TypeError: if it is no ``async def``, or does not return one value.
+    """
+    pending = function(engine, x, y)
+    if not isawaitable(pending):
+        raise TypeError(
+            f"a {kind} is an `async def`: this one returned {type(pending).__name__} and nothing to await"
+        )
+    result = await pending
+    if not isinstance(result, Value):
+        raise TypeError(f"a {kind} must return one value, not {described(result)}")
+    return result

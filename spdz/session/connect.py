@@ -1,0 +1,80 @@
+"""Open a tape and reach the peer that it was dealt for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from spdz.channels import Channel, tcp, tls
+from spdz.channels.addresses import parse_address
+from spdz.channels.credentials import check_credentials
+from spdz.channels.telling import ignore
+from spdz.session.session import Session
+from spdz.tape import Tape
+
+
+def open_session(
+    tape: str | Path,
+    *,
+    listen: str | None = None,
+    connect: str | None = None,
+    credentials: str | Path | None = None,
+    insecure: bool = False,
+    wait: float = 60.0,
+    timeout: float = 30.0,
+    state_dir: str | Path | None = None,
+    on_event: Callable[[str], None] = ignore,
+) -> Session:
+    """Open a tape and connect to the peer that it was dealt for, over mutually authenticated TLS 1.3.
+
+    Args:
+        tape: This robot's tape for that peer.
+        listen: ``"host:port"`` to accept the peer at; or
+        connect: ``"host:port"`` to reach it at. Exactly one of the two.
+        credentials: Folder of ca.pem, cert.pem and key.pem; the tape's folder if not given.
+        insecure: Plain TCP without encryption or authentication, for closed test networks only.
+        wait: Seconds to wait for the peer to appear.
+        timeout: Seconds that one round may take.
+        state_dir: Where the second record of what was used is kept (default: the user's state folder).
+        on_event: Called with a sentence when this side listens, and when the reason changes why there is no
+            connection yet, or why a caller was refused.
+
+    Raises:
+        ValueError: unless exactly one of ``listen`` and ``connect`` is given, or if the credentials are not
+            those of the robot that the tape names.
+        TapeError: if the tape is damaged, in use, destroyed, or does not match the peer's.
+        ChannelError: if there is no connection within ``wait`` seconds, or the peer is not who it
+            should be.
+    """
+    check_where(listen, connect, wait, timeout)
+    path = Path(tape)
+    opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
+    try:
+        own = path.parent if credentials is None else Path(credentials)
+        if insecure:
+            reach = tcp.connect if listen is None else tcp.listen
+            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait, on_event=on_event)
+        else:
+            check_credentials(own, opened.header.name)
+            meet = tls.connect if listen is None else tls.listen
+            peer = opened.header.peer
+            channel = meet(listen or connect or "", own, peer, timeout=timeout, wait=wait, on_event=on_event)
+    except BaseException:
+        opened.close()
+        raise
+    return Session(opened, channel)
+
+
+def check_where(listen: str | None, connect: str | None, wait: float, timeout: float) -> None:
+    """Refuse arguments of :func:`open_session` that make no sense, before anything is opened.
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    if (listen is None) == (connect is None):
+        raise ValueError("give exactly one of listen= and connect=")
+    parse_address(listen or connect or "")
+    for name, seconds in (("wait", wait), ("timeout", timeout)):
+        if not (seconds > 0 and math.isfinite(seconds)):
+            raise ValueError(f"{name} must be a positive number of seconds, not {seconds!r}")

@@ -1,0 +1,36 @@
+"""Drive one party's frames over a real channel."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+from spdz.channels import Channel, FrameKind
+from spdz.foundations.stats import Stats
+from spdz.rounds.coroutine import Exchange
+
+
+def run_channel(frames: Generator[Exchange, memoryview, Any], channel: Channel, stats: Stats) -> Any:
+    """Carry every frame over the channel until the protocol returns; returns its result.
+
+    Args:
+        frames: A protocol under :func:`spdz.rounds.mac_check.drive`.
+        channel: A connected channel.
+        stats: Counts rounds, bytes and elements.
+
+    Raises:
+        SpdzError: whatever the protocol or the channel raises.
+    """
+    sent = channel.bytes_sent
+    try:
+        request = next(frames)
+        while True:
+            stats.rounds += 1
+            stats.field_elements_sent += request.elements
+            kind = FrameKind.CHECK if request.is_check else FrameKind.DATA
+            request = frames.send(channel.exchange(kind, request.payload, request.expect))
+    except StopIteration as done:
+        return done.value
+    finally:
+        stats.bytes_sent += channel.bytes_sent - sent
+        frames.close()

@@ -1,0 +1,313 @@
+"""A networked party: one tape, one connection, plain blocking calls.
+
+::
+
+    with open_session("mission/alice/bob.tape", listen="0.0.0.0:9000") as session:
+        outcome = session.run(program, descriptor)
+
+A session is a state machine with one way out: after any error it is dead, its connection closed, and what
+it had reserved stays burnt. After a failed MAC check its tape is destroyed as well.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import numpy.typing as npt
+
+from spdz.channels import Channel, FrameKind
+from spdz.channels.frames import MAX_FRAME, abort_reason
+from spdz.foundations.errors import (
+    ChannelClosed,
+    MacCheckFailed,
+    PeerAborted,
+    TapeError,
+    TapeExhausted,
+    TapeInUse,
+    TapeMismatch,
+)
+from spdz.foundations.stats import Stats
+from spdz.foundations.types import IntArray, Json, Shape
+from spdz.readings.meter import Plan
+from spdz.readings.party import JobStream, Party
+from spdz.readings.plans import Plans
+from spdz.readings.program import Program, declare, quantise, run
+from spdz.rounds.coroutine import parallel
+from spdz.rounds.mac_check import drive
+from spdz.rounds.wire import ELEMENT_BYTES
+from spdz.session.agreement import Agreement
+from spdz.session.driver import run_channel
+from spdz.session.handshake import Hello, compare, session_id
+from spdz.session.turn import Turn
+from spdz.tape import Tape, TapeHeader
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What one run of a session returns.
+
+    Attributes:
+        value: The opened result of each job, or of the single one.
+        stats: This party's cost.
+    """
+
+    value: Any
+    stats: Stats
+
+
+class Session:
+    """One party of a pair, connected to the other.
+
+    Args:
+        tape: This party's tape, open; the session closes it.
+        channel: A connected channel; the session closes it.
+
+    Raises:
+        TapeMismatch: if the peer's tape does not belong to this one, saying why.
+        ProtocolViolation: if the peer's greeting is malformed.
+    """
+
+    def __init__(self, tape: Tape, channel: Channel) -> None:
+        self._tape, self._channel = tape, channel
+        self._dead: str | None = None
+        self._left = tape.remaining
+        self._reserved: deque[tuple[int, JobStream]] = deque()
+        self._plans = Plans(self.shapes, tape.header.security)
+        self._process = os.getpid()
+        self._turn = Turn("session")
+        with self._guard():
+            own = Hello.of(tape)
+            peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
+            compare(own, peer)
+            session = session_id(own, peer)
+            tape.resume(peer.cursor)
+            self._left = tape.remaining
+            self._tag = int.from_bytes(session[:4], "little")
+            channel.bind(self._tag)
+            self._agreement = Agreement(channel, self.party, session, self._alpha)
+
+    def __repr__(self) -> str:
+        state = f"dead ({self._dead})" if self._dead else f"{self.remaining} jobs left"
+        return f"<session of {self.header.name} with {self.header.peer}: {state}>"
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self.abandon(error)
+        self.close()
+
+    def abandon(self, error: BaseException) -> None:
+        """End the session because of an error of this side's own; the peer is told that this side stopped."""
+        if self._dead is None:
+            self._die(error)
+
+    @property
+    def header(self) -> TapeHeader:
+        """The tape's header."""
+        return self._tape.header
+
+    @property
+    def party(self) -> int:
+        """0 or 1."""
+        return int(self._tape.header.party)
+
+    @property
+    def rolled_back(self) -> bool:
+        """Whether the tape file was an older copy of itself (its used part was skipped)."""
+        return self._tape.rolled_back
+
+    @property
+    def remaining(self) -> int:
+        """Jobs that can still be run; of a session that has ended, those that its tape still holds."""
+        if self._dead is not None:
+            return self._left
+        return len(self._reserved) + self._tape.remaining
+
+    @property
+    def shapes(self) -> tuple[Shape, Shape]:
+        """Input shapes of both parties in one job."""
+        first, second = self._tape.header.program["shapes"]
+        return tuple(first), tuple(second)
+
+    # -- running -------------------------------------------------------------------------------------
+
+    def reserve(self, jobs: int) -> None:
+        """Read so many jobs ahead, mark them used, durably, in one go, and expand their pads.
+
+        What is reserved and not run when the session ends is lost. Without a call, every run reserves
+        what it needs, at the price of a disk flush.
+
+        Raises:
+            TapeExhausted: if fewer jobs are left; nothing is consumed, and the session lives on.
+        """
+        self._require_alive()
+        with self._turn:
+            try:
+                self._reserve(jobs)
+            except (TapeExhausted, ValueError):
+                raise
+            except BaseException as error:  # some jobs may be used and not kept here, unlike at the peer
+                self._die(error)
+                raise
+
+    def run(self, program: Program, data: npt.ArrayLike) -> Result:
+        """Run one job on this party's input.
+
+        Args:
+            program: The program that the tapes were dealt for (thresholds may differ).
+            data: This party's input, of the shape that one job takes.
+
+        Raises:
+            ValueError: for bad input; nothing is consumed and the session lives on.
+            TapeMismatch: if the tape was dealt for another program, or the peer runs another one.
+            TapeExhausted: if no job is left.
+            MacCheckFailed: if the peer cheated; nothing is output and the tape is destroyed.
+            ChannelError: if the connection fails.
+        """
+        result = self.run_many(program, [data])
+        return Result(result.value[0], result.stats)
+
+    def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
+        """Run several jobs in the same rounds; the result's value is a list."""
+        self._require_alive()
+        plan = self._plan(program)
+        inputs = [self._quantise(program, one) for one in data]
+        largest = ELEMENT_BYTES * len(inputs) * max(plan.elements_sent)
+        if largest > MAX_FRAME:
+            raise ValueError(
+                f"{len(inputs)} jobs at once could need frames of {largest >> 20} MB, above the limit of "
+                f"{MAX_FRAME >> 20} MB: run fewer at once"
+            )
+        with self._guard():
+            self._agreement.program(plan.text, len(inputs), str(getattr(program, "__name__", program)))
+            if len(inputs) > len(self._reserved):
+                self._reserve(len(inputs) - len(self._reserved))
+            jobs = [self._reserved.popleft() for _ in inputs]
+            if jobs:  # frames of other jobs than the peer's are refused
+                self._channel.bind((self._tag + jobs[0][0]) & 0xFFFFFFFF)
+            stats = Stats()
+            lanes = [self._lane(program, job, raw, stats) for (_, job), raw in zip(jobs, inputs, strict=True)]
+            values = run_channel(drive(_all(lanes), self._agreement.mac_check), self._channel, stats)
+        return Result(values, stats)
+
+    def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
+        """Swap one small public JSON object with the peer, such as how many descriptors there are."""
+        with self._guard():
+            return self._agreement.note(note)
+
+    # -- the parts of a run --------------------------------------------------------------------------
+
+    def _plan(self, program: Program) -> Plan:
+        """The meter's plan, held against the tape."""
+        plan = self._plans.of(program)
+        if plan.recipe != self.header.fingerprint:
+            raise TapeMismatch(
+                f"this tape was dealt for {_describe(self.header.program)}, which is not the program given; "
+                "deal tapes for it, or run the program that the tapes were dealt for"
+            )
+        return plan
+
+    def _quantise(self, program: Program, data: npt.ArrayLike) -> IntArray:
+        raw = quantise(program, data, "input")
+        expected = self.shapes[self.party]
+        if raw.shape != expected:
+            raise ValueError(f"a job of this tape takes an input of shape {expected}, got {raw.shape}")
+        return raw
+
+    @property
+    def _alpha(self) -> int | None:
+        return int.from_bytes(self._tape.alpha, "little") if self.header.security == "malicious" else None
+
+    def _reserve(self, jobs: int) -> None:
+        pad_bytes = self.header.pad_bytes
+        reserved = self._tape.reserve(jobs)
+        self._left = self._tape.remaining
+        self._reserved.extend(
+            [(job.index, JobStream(job.key, pad_bytes, job.correction)) for job in reserved]
+        )
+
+    def _lane(self, program: Program, job: JobStream, raw: IntArray, stats: Stats) -> Any:
+        header = self._tape.header
+        party = Party(self.party, header.security, job, self._agreement.mac_check, self._alpha, stats)
+        return run(party, program, declare(program, self.shapes, {self.party: raw}))
+
+    # -- ending --------------------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Close connection and tape; safe to call twice. In a fork nothing is written anywhere."""
+        if self._dead is None:
+            self._dead = "closed"
+            with suppress(TapeError):
+                self._left = self._tape.remaining
+        try:
+            self._channel.close()
+        finally:
+            self._tape.close()
+
+    def _require_alive(self) -> None:
+        if os.getpid() != self._process:
+            raise TapeInUse("this session belongs to the process that opened it: open one after the fork")
+        if self._dead is not None:
+            raise ChannelClosed(f"this session has ended ({self._dead}); open a new one")
+
+    def _guard(self) -> _Guard:
+        self._require_alive()
+        return _Guard(self)
+
+    def _die(self, error: BaseException) -> None:
+        """Tell the peer why, close everything, and destroy the tape if the peer cheated.
+
+        In a fork only the descriptors are closed: tape, connection and TLS keys are the parent's.
+        """
+        if os.getpid() != self._process:
+            self.close()
+            return
+        if self._dead is None:
+            self._dead = type(error).__name__
+            with suppress(TapeError):
+                self._left = self._tape.remaining
+        try:
+            if isinstance(error, MacCheckFailed):
+                self._left = 0
+                self._tape.destroy()
+        finally:
+            if not isinstance(error, PeerAborted):
+                self._channel.abort(abort_reason(error))
+            self.close()
+
+
+class _Guard:
+    """A turn in which whatever goes wrong kills the session."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def __enter__(self) -> None:
+        self._session._turn.__enter__()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is not None:
+                self._session._die(error)
+        finally:
+            self._session._turn.__exit__()
+
+
+async def _all(lanes: Sequence[Any]) -> list[Any]:
+    return [await lanes[0]] if len(lanes) == 1 else await parallel(*lanes)
+
+
+def _describe(program: Any) -> str:
+    return ", ".join(f"{name} {value}" for name, value in sorted(program.items()) if name != "shapes")
