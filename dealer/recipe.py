@@ -66,6 +66,11 @@ class DealtJob(Recipe):
         """A public constant changes no mask."""
         return x.parts
 
+    def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
+        """The mask r - raw."""
+        (mask,) = x.parts
+        return (field.sub(mask, np.broadcast_to(field.from_int(raw), mask.shape)),)
+
     def shared_value(
         self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
     ) -> Value:
@@ -82,20 +87,22 @@ class DealtJob(Recipe):
         make: Callable[[], FieldArray],
         *,
         mask_bits: int = 127,
+        span: int = 0,
         count: tuple[str, int] | None = None,
     ) -> Value:
         """The mask is dealt as any other value, and kept: later gates multiply it."""
         mask = np.broadcast_to(make(), (*shape, 2))
         self.authenticated(shape, lambda: mask)
-        return Value(self, (mask,), shape, frac, bound, masked=True, mask_bits=mask_bits)
+        return Value(self, (mask,), shape, frac, bound, masked=True, mask_bits=mask_bits, span=span)
 
     def input_mask(self, source: Input) -> Value:
         """The owner's pad is the mask."""
         bits = self.input_mask_bits(source)
-        mask = input_mask.from_pad(self._pads[source.owner].pad(source.shape), source.owner, bits)
+        mask = input_mask.from_pad(self._pads[source.owner].pad(source.shape), bits)
         self._deal_mac(mask, stored_by=source.owner)
         bound = Bound.of_norm(source.norm)
-        return Value(self, (mask,), source.shape, FRACTION_BITS, bound, masked=True, mask_bits=bits)
+        span = input_mask.span(bits)
+        return Value(self, (mask,), source.shape, FRACTION_BITS, bound, masked=True, span=span)
 
     def authenticated(
         self,

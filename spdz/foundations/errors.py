@@ -9,7 +9,8 @@
     ├── ChannelError         the connection could not be made or did not last
     │   ├── ChannelTimeout   the peer did not answer within the time limit
     │   ├── ChannelClosed    the peer hung up
-    │   └── PeerAborted      the peer stopped and said why
+    │   ├── PeerAborted      the peer stopped and said why
+    │   └── Unsent           this job's mask does not suit the input, a matter of chance: run the next one
     └── TapeError            something about the dealt correlations
         ├── TapeMismatch     the two tapes, or tape and program, do not belong together
         ├── TapeExhausted    every dealt job has been used
@@ -85,6 +86,12 @@ class ChannelClosed(ChannelError):
 
 class PeerAborted(ChannelError):
     """The peer stopped and gave a reason."""
+
+
+class Unsent(ChannelError):
+    """A masked input would have told something of itself and was not sent; the job is used up."""
+
+    passing = True
 
 
 class TapeError(SpdzError):

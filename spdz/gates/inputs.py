@@ -1,12 +1,12 @@
 """Masked input: party i learns r from the dealer and sends eps = x - r, once.
 
-Cost: one round for the inputs of both parties, one field element a coordinate (half of one for short inputs
-in the semi-honest mode, :mod:`spdz.values.input_mask`), and nothing more however often the masked value is
+Cost: one round for the inputs of both parties, one field element a coordinate (half of one or less for inputs
+of short masks, :mod:`spdz.values.input_mask`), and nothing more however often the masked value is
 used: the mask r *is* the Beaver mask of every later product (function-dependent preprocessing: Ben-Efraim,
 Nielsen, Omri, "Turbospeedz", ACNS 2019).
 
-Security: a long mask makes eps uniform in F_p whatever x is. A malicious owner can choose any x in F_p^N and
-nothing else: with two parties there is nobody to whom it could send a second, different eps.
+Security: eps is as likely for one x within the bound as for another. A malicious owner can choose any x in
+F_p^N and nothing else: with two parties there is nobody to whom it could send a second, different eps.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.fixed_point import FRACTION_BITS
 from spdz.foundations.errors import ProtocolViolation
-from spdz.foundations.types import FieldArray, IntArray
+from spdz.foundations.types import Buffer
 from spdz.rounds.coroutine import exchange
 from spdz.rounds.wire import NOT_CANONICAL, to_bytes
 from spdz.values import input_mask
@@ -41,43 +41,37 @@ class MaskedInput(Gate):
 
     async def evaluate(self, party: Evaluation, *inputs: Input) -> list[Value]:
         """Send x - r for the own inputs, receive the peer's."""
-        shares = [party.input_mask(source) for source in inputs]
-        bits = [party.input_mask_bits(source) for source in inputs]
-        own: list[Any] = [
-            _hidden(source.data, mask, length)
-            for source, (mask, _), length in zip(inputs, shares, bits, strict=True)
+        drawn = [(source, party.input_mask(source), party.input_mask_bits(source)) for source in inputs]
+        sent: dict[int, Any] = {
+            i: input_mask.hide(source.data, mask, bits, source.norm)
+            for i, (source, (mask, _), bits) in enumerate(drawn)
             if source.data is not None and mask is not None
-        ]
-        theirs = [
-            (prod(source.shape) * input_mask.element_bytes(length))
-            for source, length in zip(inputs, bits, strict=True)
-            if source.owner != party.index
-        ]
-        sent = sum(prod(source.shape) for source in inputs if source.owner == party.index)
-        reply = await exchange([to_bytes(words) for words in own], sum(theirs), sent)
-        words, values, start = iter(own), [], 0
-        for source, (mask, mac), length in zip(inputs, shares, bits, strict=True):
-            if source.owner == party.index:
-                eps = next(words)
+        }
+        sizes = [prod(source.shape) * input_mask.element_bytes(bits) for source, _, bits in drawn]
+        reply = await exchange(
+            [_encoded(words, drawn[i][2]) for i, words in sent.items()],
+            sum(size for i, size in enumerate(sizes) if i not in sent),
+            sum(prod(inputs[i].shape) for i in sent),
+        )
+        values, start = [], 0
+        for i, (source, (mask, mac), bits) in enumerate(drawn):
+            if i in sent:
+                words = sent[i]
             else:
-                stop = start + prod(source.shape) * input_mask.element_bytes(length)
-                eps = np.frombuffer(reply[start:stop], dtype=np.uint64).reshape((*source.shape, -1))
-                start = stop
-            eps = _public(eps, source, length)
-            parts = (eps, mask, mac) if party.malicious else (eps, mask)
-            bound = Bound.of_norm(source.norm)
-            values.append(
-                Value(
-                    party,
-                    parts,
-                    source.shape,
-                    FRACTION_BITS,
-                    bound,
-                    masked=True,
-                    plain=source.data,
-                    mask_bits=length,
-                )
+                words = _decoded(reply[start : start + sizes[i]], source, bits)
+                start += sizes[i]
+            eps = words if bits == input_mask.LONG else field.from_int64(words)
+            value = Value(
+                party,
+                (eps, mask, mac) if party.malicious else (eps, mask),
+                source.shape,
+                FRACTION_BITS,
+                Bound.of_norm(source.norm),
+                masked=True,
+                plain=source.data,
+                span=input_mask.span(bits),
             )
+            values.append(value)
         return values
 
     async def clear(self, engine: ClearText, *inputs: Input) -> list[Value]:
@@ -102,17 +96,16 @@ class MaskedInput(Gate):
         return values
 
 
-def _hidden(x: IntArray, mask: FieldArray, bits: int) -> npt.NDArray[np.uint64]:
-    """What the owner sends: elements, or one word a coordinate."""
-    if bits == input_mask.LONG:
-        return field.sub_from_int64(x, mask)
-    return input_mask.hide(x, mask)[..., None]
+def _encoded(words: npt.NDArray[Any], bits: int) -> Buffer:
+    """What the owner sends: elements, or words."""
+    return to_bytes(words if bits == input_mask.LONG else input_mask.pack(words, bits))
 
 
-def _public(words: npt.NDArray[np.uint64], source: Input, bits: int) -> FieldArray:
-    """The eps that was sent."""
-    if bits == input_mask.SHORT:
-        return input_mask.public_part(words[..., 0], source.owner)
-    if not field.is_canonical(words):
+def _decoded(raw: Buffer, source: Input, bits: int) -> npt.NDArray[Any]:
+    """What the peer sent."""
+    if bits != input_mask.LONG:
+        return input_mask.unpack(raw, source.shape, bits, source.norm)
+    elements = np.frombuffer(raw, dtype=np.uint64).reshape((*source.shape, 2))
+    if not field.is_canonical(elements):
         raise ProtocolViolation(NOT_CANONICAL)
-    return words
+    return elements

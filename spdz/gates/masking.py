@@ -73,22 +73,39 @@ def dealt_integer_mask(r: FieldArray, bits: int) -> FieldArray:
     return rho
 
 
-def local_bits(z: Value, bound: int | None = None) -> int:
-    """Bits of a masked value's range, if a gate may work on the integers behind its mask.
+def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
+    """A masked value whose gate may work on the integers behind its mask.
+
+    Where the mask is a small integer, |r| <= span, a public K above span and 2^(b-1) moves from r to eps:
+    then ``rho = K - r - 2^(b-1)`` and ``c = K + eps`` are positive integers below 2^126 for every z in range,
+    and c never wraps.
+
+    Args:
+        z: The masked value.
+        bound: The largest magnitude to count with, where it is not z's own.
+
+    Returns:
+        The value to use, and b, the bits of its range: ``c = z + 2^(b-1) + rho`` as integers.
 
     Raises:
-        ValueError: if the value is not masked, or too long for its mask.
+        TypeError: if the value is not masked.
+        ValueError: if its range is too long for its mask.
     """
     if not z.masked:
         raise TypeError("this gate works on a masked value: `[z] = await spdz.mask(z)` first")
     bits = signed_bits(z.bound.entry if bound is None else bound)
-    if bits + SECURITY_BITS >= z.mask_bits:
+    if z.span:
+        room = max(z.span.bit_length(), bits) + 1
+        if room < FULL - 1:
+            parts = z.engine.remasked(z, 1 << room)
+            return Value(z.engine, parts, z.shape, z.frac, z.bound, masked=True), bits
+    if bits + SECURITY_BITS >= z.mask_bits or z.span:
         raise ValueError(
             f"a comparison or truncation over {bits} bits would leave less than 2^-{SECURITY_BITS} "
             f"statistical security under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
             "mask the value anew"
         )
-    return bits
+    return z, bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +182,9 @@ async def mask(*values: Value, fresh: bool = False) -> list[Value]:
 
 
 def _ready(z: Value) -> bool:
-    return z.masked and (z.mask_bits == FULL or signed_bits(z.bound.entry) + SECURITY_BITS < z.mask_bits)
+    return z.masked and (
+        z.span > 0 or z.mask_bits == FULL or signed_bits(z.bound.entry) + SECURITY_BITS < z.mask_bits
+    )
 
 
 def tightened(bound: Bound, entry: int | None, norm: int | None) -> Bound:

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from spdz import dcf
 from spdz.arithmetic import field, inner_product
 from spdz.foundations.types import FieldArray
-from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits
+from spdz.gates.masking import dealt_integer_mask, in_place, integer_mask
 from spdz.gates.pieces import HALF, Pieces
 from spdz.gates.truncation import low_bits
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
@@ -44,13 +44,13 @@ class Piecewise(Gate):
 
     pieces: Pieces
 
-    def _bits(self, z: Value) -> int:
+    def _in_place(self, z: Value) -> tuple[Value, int]:
         """For z - T_i of either sign."""
-        return local_bits(z, z.bound.entry + self.pieces.farthest)
+        return in_place(z, z.bound.entry + self.pieces.farthest)
 
     def deal(self, recipe: Recipe, z: Value) -> list[Value]:
         """Deal sigma/2 (and sigma r/2) and the key."""
-        bits, shape, width = self._bits(z), z.shape, self.pieces.width
+        (z, bits), shape, width = self._in_place(z), z.shape, self.pieces.width
 
         def signs() -> FieldArray:
             """Sigma, sigma r: shape S + (width, 2)."""
@@ -76,7 +76,7 @@ class Piecewise(Gate):
 
     def evaluate(self, party: Evaluation, z: Value) -> list[Value]:
         """Steps 1 to 3."""
-        pieces, bits, shape = self.pieces, self._bits(z), z.shape
+        pieces, (z, bits), shape = self.pieces, self._in_place(z), z.shape
         width = pieces.width
         half = party.authenticated((*shape, width), count=(KIND, prod(shape)))
         roots, key = party.comparison_key(shape, bits - 1, width)

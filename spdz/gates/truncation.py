@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import prod
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound, root
 from spdz.arithmetic.public import fraction_bits
 from spdz.foundations.types import FieldArray
-from spdz.gates.masking import dealt_integer_mask, integer_mask, local_bits, mask
+from spdz.gates.masking import FULL, dealt_integer_mask, in_place, integer_mask, mask, signed_bits
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.values.refusals import expect_secret
 from spdz.values.value import Value
@@ -57,9 +58,15 @@ def low_bits(a: FieldArray, bits: int) -> FieldArray:
     return a & np.array(masks, dtype=np.uint64)
 
 
-def _bits(z: Value, drop: int) -> int:
-    """Bits of the integer to cut, which are more than those that go: its mask must hold them."""
-    return local_bits(z, max(z.bound.entry, (1 << drop) - 1))
+def _in_place(z: Value, drop: int) -> tuple[Value, int]:
+    """The integer to cut has more bits than those that go: its mask must hold them."""
+    return in_place(z, max(z.bound.entry, (1 << drop) - 1))
+
+
+def _mask_form(z: Value, drop: int) -> dict[str, Any]:
+    """What is left of the mask: fewer bits; in place of a small integer, one that was raised above it."""
+    span = z.span and 1 << max(z.span.bit_length(), signed_bits(z.bound.entry), drop + 1) + 2 - drop
+    return {"span": span, "mask_bits": FULL if span else z.mask_bits - drop}
 
 
 def _bound(z: Value, drop: int) -> Bound:
@@ -76,7 +83,8 @@ class Truncate(Gate):
 
     def deal(self, recipe: Recipe, z: Value) -> Value:
         """Deal the shifted mask."""
-        bits, drop = _bits(z, self.drop), self.drop
+        form, drop = _mask_form(z, self.drop), self.drop
+        z, bits = _in_place(z, drop)
 
         def make() -> FieldArray:
             return integer_mask(shifted(dealt_integer_mask(z.parts[0], bits), drop), bits - drop)
@@ -88,24 +96,17 @@ class Truncate(Gate):
             z.frac - drop,
             _bound(z, drop),
             make,
-            mask_bits=z.mask_bits - drop,
+            **form,
             count=(KIND, prod(z.shape)),
         )
 
     def evaluate(self, party: Evaluation, z: Value) -> Value:
         """Shift what is public."""
-        width = len(z.parts) - 1
+        form, width = _mask_form(z, self.drop), len(z.parts) - 1
+        z, _ = _in_place(z, self.drop)
         share = party.authenticated(z.shape, count=(KIND, prod(z.shape)))[:width]
-        parts = (shifted(z.parts[0], self.drop), *share)
-        return Value(
-            party,
-            parts,
-            z.shape,
-            z.frac - self.drop,
-            _bound(z, self.drop),
-            masked=True,
-            mask_bits=z.mask_bits - self.drop,
-        )
+        parts, frac = (shifted(z.parts[0], self.drop), *share), z.frac - self.drop
+        return Value(party, parts, z.shape, frac, _bound(z, self.drop), masked=True, **form)
 
     def clear(self, engine: ClearText, z: Value) -> Value:
         """Round to the nearest, ties up."""
@@ -118,14 +119,13 @@ class TruncateExactly(Gate):
 
     drop: int
 
-    def _raised(self, z: Value) -> tuple[int, Value]:
-        """Half a unit more: its bits, and itself."""
-        half = z.plus_raw(1 << (self.drop - 1))
-        return _bits(half, self.drop), half
+    def _raised(self, z: Value) -> tuple[Value, int]:
+        """Half a unit more, and its bits."""
+        return _in_place(z.plus_raw(1 << (self.drop - 1)), self.drop)
 
     def deal(self, recipe: Recipe, z: Value) -> Value:
         """Deal [[rho >> f]] and a key for the carry."""
-        (bits, half), drop = self._raised(z), self.drop
+        (half, bits), drop = self._raised(z), self.drop
         shape = z.shape
 
         def rho() -> FieldArray:
@@ -139,7 +139,7 @@ class TruncateExactly(Gate):
 
     def evaluate(self, party: Evaluation, z: Value) -> Value:
         """``(c >> f) - (rho >> f) - [c mod 2^f < rho mod 2^f] - 2^(b-1-f)``."""
-        (bits, half), drop = self._raised(z), self.drop
+        (half, bits), drop = self._raised(z), self.drop
         shape, width = z.shape, len(z.parts) - 1
         shift = party.authenticated(shape, count=(EXACT, prod(shape)))
         roots, key = party.comparison_key(shape, drop, 1)

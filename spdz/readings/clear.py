@@ -43,6 +43,10 @@ class Clear(ClearText):
         """Add public integers."""
         return (whole(x.parts[0].astype(object) + raw),)
 
+    def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
+        """There is no mask."""
+        return x.parts
+
     def value(
         self, raw: Any, frac: int, bound: Bound, *, masked: bool = False, is_bit: bool = False
     ) -> Value:

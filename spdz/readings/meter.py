@@ -27,6 +27,7 @@ from spdz.readings.program import Program, declare, run
 from spdz.readings.stock import Stock
 from spdz.rounds.coroutine import Check, Request, exchange, run_silently
 from spdz.rounds.wire import ELEMENT_BYTES
+from spdz.values import input_mask
 from spdz.values.engine import Gate, Input, Recipe
 from spdz.values.value import Value
 
@@ -156,6 +157,10 @@ class Meter(Recipe):
         (symbol,) = x.parts
         return (Symbol(symbol.recipe, _digest("plus", symbol.text, *_public(raw))),)
 
+    def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
+        """The same symbol: what it stands for is the same number."""
+        return x.parts
+
     def shared_value(
         self, kind: str, of: tuple[Value, ...], shape: Shape, frac: int, bound: Bound, *, is_bit: bool = False
     ) -> Value:
@@ -173,12 +178,13 @@ class Meter(Recipe):
         make: Callable[[], FieldArray],
         *,
         mask_bits: int = 127,
+        span: int = 0,
         count: tuple[str, int] | None = None,
     ) -> Value:
         """A new symbol, as for a shared value."""
         self.authenticated(shape, make, of=of, count=count)
         symbol = self._note(kind, shape, frac, *(operand.parts[0] for operand in of))
-        return Value(self, (symbol,), shape, frac, bound, masked=True, mask_bits=mask_bits)
+        return Value(self, (symbol,), shape, frac, bound, masked=True, mask_bits=mask_bits, span=span)
 
     def input_mask(self, source: Input) -> Value:
         """N pad elements at the owner; with MACs N more at the peer and N stored at the owner."""
@@ -190,8 +196,8 @@ class Meter(Recipe):
         self.correlations["input mask"] += size
         symbol = self._note("input", source.owner, source.shape, source.norm, len(self.trace))
         bound = Bound.of_norm(source.norm)
-        bits = self.input_mask_bits(source)
-        return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True, mask_bits=bits)
+        span = input_mask.span(self.input_mask_bits(source))
+        return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True, span=span)
 
     def authenticated(
         self,

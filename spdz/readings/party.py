@@ -132,6 +132,13 @@ class Party(Evaluation):
             return field.add(x.parts[0], number), *x.parts[1:]
         return self.plus_public(x, number).parts
 
+    def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
+        """Public numbers move from the share of r to eps."""
+        number = np.broadcast_to(field.from_int(raw), (*x.shape, 2))
+        eps, *shares = x.parts
+        share = Value(self, tuple(shares), x.shape, x.frac, x.bound)
+        return field.add(eps, number), *self.plus_public(share, field.neg(number)).parts
+
     def plus_public(self, x: Value, public: FieldArray) -> Value:
         """Party 0 adds to its share; both to the MAC."""
         value, *macs = x.parts
@@ -152,7 +159,7 @@ class Party(Evaluation):
         mask = None
         if own:
             pad = self._stream.pad(source.shape)
-            mask = input_mask.from_pad(pad, source.owner, self.input_mask_bits(source))
+            mask = input_mask.from_pad(pad, self.input_mask_bits(source))
         return mask, self._mac(source.shape, stored=own)
 
     def authenticated(self, shape: Shape, *, count: tuple[str, int] | None = None) -> Share:

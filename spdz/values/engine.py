@@ -56,7 +56,7 @@ class Engine(ABC):
 
     def input_mask_bits(self, source: Input) -> int:
         """How long the mask of an input is (:mod:`spdz.values.input_mask`)."""
-        return input_mask.bits(source.shape, source.norm, malicious=self.malicious)
+        return input_mask.word_bits(source.shape, source.norm)
 
     @abstractmethod
     def read(self, gate: Gate, *operands: Any) -> Any:
@@ -69,6 +69,10 @@ class Engine(ABC):
     @abstractmethod
     def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """The parts of x plus public raw integers, whose shape broadcasts to x's (:meth:`Value.plus_raw`)."""
+
+    @abstractmethod
+    def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
+        """The parts of ``<x> = (eps + raw, r - raw)``: the same number behind another mask."""
 
     @property
     @abstractmethod
@@ -96,6 +100,7 @@ class Recipe(Engine):
         make: Callable[[], FieldArray],
         *,
         mask_bits: int = 127,
+        span: int = 0,
         count: tuple[str, int] | None = None,
     ) -> Value:
         """Deal [[r]] for the mask ``r = make()`` of the result ``<z>`` of gate ``kind``; returns ``<z>``."""

@@ -1,68 +1,117 @@
 """How long an input's mask is, and how a short one travels.
 
-A long mask is uniform on F_p: 127 bits, perfectly hiding, 16 bytes a coordinate. The semi-honest mode may
-use a short one, ``x + s`` with s uniform on [0, 2^63), 8 bytes a coordinate: the sum is within |x|_1 / 2^63
-of independent of x, where a vector's |x|_1 <= sqrt(N) |x|_2. Short masks are used only where the public
-bounds of all vectors of an input together make that at most 2^-40, and never in the malicious mode: a
-cheater's out-of-range vector would show through.
+A long mask is uniform on F_p: 127 bits, 16 bytes a coordinate. A short one is a *word* ``x + s`` with s
+uniform on [0, 2^w), and it hides x perfectly as well: with B the largest magnitude of a coordinate, the owner
+sends its words only if every one of them lies in [B, 2^w - B). Each such word stands for exactly one s,
+whatever x is, so the words that are sent are uniform on that interval, and the chance 2 B / 2^w a coordinate
+that they are not sent is the same for every x within the bound. Words that are not sent cost the job (or, in
+a gallery, the slot). So w may be as short as the cost allows (:func:`word_bits`). The receiver refuses words
+outside the interval.
 
-In the field a short mask is ``r = -(s + base)``. The bases of the two parties are far apart, so that the
-masks of an input and of a difference of the two inputs never wrap, and both can be compared in place. (A
-difference within one vector wraps with a probability below 2^-40, and the dealer notices.)
+A short mask hides the honest owner's vector, and nothing that the other party does changes what it shows; the
+owner checks its own vector's bound, and MACs do not depend on how r is distributed. So both security modes
+use short masks where w <= 63.
+
+In the field ``r = -s``, and ``eps`` is the word: both are small integers, so that ``eps + r`` never wraps,
+nor does a difference of two inputs. Gates that work on the integers behind a mask use that
+(:func:`spdz.gates.masking.in_place`).
 """
 
 from __future__ import annotations
 
 from math import prod
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from spdz.arithmetic.bound import root
-from spdz.foundations.types import FieldArray, IntArray, Shape
+from spdz.arithmetic import field
+from spdz.foundations.errors import ProtocolViolation, Unsent
+from spdz.foundations.types import Buffer, FieldArray, IntArray, Shape
 
-LONG, SHORT = 127, 63
-_HIDING_BITS = 40
-_HIGH = (1 << 36, 1 << 26)
-"""The parties' bases are 2^64 times these: the high word of s + base."""
-_OFFSET = np.uint64(1 << 62)
-"""Added on the wire, so that x + s is a positive 64-bit number for every |x| < 2^62."""
-_ONES, _LOW63 = np.uint64((1 << 64) - 1), (1 << 63) - 1
+LONG = 127
+_MOST = 63
+"""Bits of the longest word: words are int64."""
+
+JOB_REJECTION, SLOT_REJECTION = 30, 16
+"""The chance that an input is not sent is at most 2^-30 for a job, which it costs, and 2^-16 for a slot."""
 
 
-def bits(shape: Shape, norm: int, *, malicious: bool) -> int:
-    """Bits of the mask of an input of this shape with L2 norms of at most ``norm`` (raw units)."""
-    largest_l1 = prod(shape[:-1]) * root(shape[-1]) * norm
-    short = not malicious and 0 < largest_l1 <= 1 << (SHORT - _HIDING_BITS)
-    return SHORT if short else LONG
+def word_bits(shape: Shape, norm: int, rejection: int = JOB_REJECTION) -> int:
+    """Bits w of the words of an input of this shape with L2 norms of at most ``norm`` (raw), or LONG.
+
+    The smallest w with ``2 n norm / 2^w <= 2^-rejection`` for all n coordinates together.
+    """
+    needed = (2 * prod(shape) * norm << rejection) - 1
+    w = needed.bit_length()
+    return w if norm > 0 and 0 not in shape and w <= _MOST else LONG
+
+
+def span(mask_bits: int) -> int:
+    """The largest magnitude of a short mask; 0 for a long one, which may be any element."""
+    return 0 if mask_bits == LONG else (1 << mask_bits) - 1
 
 
 def element_bytes(mask_bits: int) -> int:
     """Bytes of a masked coordinate on the wire."""
-    return 8 if mask_bits == SHORT else 16
+    return 16 if mask_bits == LONG else -(-mask_bits // 8)
 
 
-def from_pad(pad: FieldArray, owner: int, mask_bits: int) -> FieldArray:
+def from_pad(pad: FieldArray, mask_bits: int) -> FieldArray:
     """The mask r that uniform field elements stand for."""
+    return pad if mask_bits == LONG else field.from_int64(-offsets(pad[..., 0], mask_bits))
+
+
+def offsets(words: npt.NDArray[np.uint64], mask_bits: int) -> IntArray:
+    """The s that uniform 64-bit words stand for: their lowest w bits."""
+    low: IntArray = (words & np.uint64((1 << mask_bits) - 1)).view(np.int64)
+    return low
+
+
+def hide(x: IntArray, r: FieldArray, mask_bits: int, norm: int) -> npt.NDArray[Any]:
+    """What the owner sends: elements ``x - r``, or words ``x + s``.
+
+    Raises:
+        Unsent: if a word would lie outside the interval.
+    """
     if mask_bits == LONG:
-        return pad
-    r = np.empty(pad.shape, dtype=np.uint64)
-    # p - (s + base) is the complement of 127 bits.
-    np.bitwise_xor(pad[..., 0] >> np.uint64(1), _ONES, out=r[..., 0])
-    r[..., 1] = _HIGH[owner] ^ _LOW63
-    return r
-
-
-def hide(x: IntArray, r: FieldArray) -> npt.NDArray[np.uint64]:
-    """``x + s + 2^62`` for a short mask r."""
-    words: npt.NDArray[np.uint64] = (r[..., 0] ^ _ONES) + x.view(np.uint64)
-    words += _OFFSET
+        return field.sub_from_int64(x, r)
+    words = x + field_offsets(r)
+    if not inside(words, mask_bits, norm).all():
+        raise Unsent(
+            "the mask of this job does not suit this input, which happens once in 2^30 times: nothing was "
+            "sent; run the next job"
+        )
     return words
 
 
-def public_part(words: npt.NDArray[np.uint64], owner: int) -> FieldArray:
-    """The ``eps = x - r`` that these words stand for: ``words - 2^62 + base``."""
-    eps = np.empty((*words.shape, 2), dtype=np.uint64)
-    np.subtract(words, _OFFSET, out=eps[..., 0])
-    np.subtract(np.uint64(_HIGH[owner]), words < _OFFSET, out=eps[..., 1])
-    return eps
+def field_offsets(r: FieldArray) -> IntArray:
+    """The s of short masks r = -s: the low word of p - s is 2^64 - 1 - s."""
+    return np.where(r[..., 1] == 0, r[..., 0], ~r[..., 0]).view(np.int64)
+
+
+def inside(words: IntArray, mask_bits: int, norm: int) -> npt.NDArray[np.bool_]:
+    """Which words lie in [B, 2^w - B)."""
+    return np.asarray((words >= norm) & (words < (1 << mask_bits) - norm))
+
+
+def pack(words: IntArray, mask_bits: int) -> npt.NDArray[np.uint8]:
+    """Words as ceil(w / 8) bytes each, little-endian."""
+    size = element_bytes(mask_bits)
+    return np.ascontiguousarray(
+        np.ascontiguousarray(words, dtype="<i8").view(np.uint8).reshape(-1, 8)[:, :size]
+    )
+
+
+def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
+    """Read a peer's words.
+
+    Raises:
+        ProtocolViolation: if one lies outside the interval.
+    """
+    full = np.zeros((prod(shape), 8), dtype=np.uint8)
+    full[:, : element_bytes(mask_bits)] = np.frombuffer(raw, dtype=np.uint8).reshape(prod(shape), -1)
+    words: IntArray = full.view("<i8").reshape(shape)
+    if not inside(words, mask_bits, norm).all():
+        raise ProtocolViolation("the peer sent a masked word outside the interval that honest words lie in")
+    return words

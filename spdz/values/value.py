@@ -50,9 +50,21 @@ class Value(Secret):
         is_bit: True if the entries are 0 or 1.
         plain: The owner's own raw input, where this value is one (int64); else None.
         mask_bits: Bits of the mask's randomness (127 for a fresh one; truncation takes some away).
+        span: Of a value whose mask is a small integer, the largest magnitude of that mask; else 0.
     """
 
-    __slots__ = ("bound", "engine", "frac", "is_bit", "mask_bits", "masked", "parts", "plain", "shape")
+    __slots__ = (
+        "bound",
+        "engine",
+        "frac",
+        "is_bit",
+        "mask_bits",
+        "masked",
+        "parts",
+        "plain",
+        "shape",
+        "span",
+    )
 
     def __init__(
         self,
@@ -66,6 +78,7 @@ class Value(Secret):
         is_bit: bool = False,
         plain: IntArray | None = None,
         mask_bits: int = 127,
+        span: int = 0,
     ) -> None:
         if bound.entry > P // 2:
             raise ValueError(
@@ -74,7 +87,8 @@ class Value(Secret):
             )
         self.engine, self.parts, self.shape = engine, parts, shape
         self.frac, self.bound = frac, bound
-        self.masked, self.is_bit, self.plain, self.mask_bits = masked, is_bit, plain, mask_bits
+        self.masked, self.is_bit, self.plain = masked, is_bit, plain
+        self.mask_bits, self.span = mask_bits, span
 
     def __repr__(self) -> str:
         kind = "masked" if self.masked else "shared"
@@ -153,6 +167,7 @@ class Value(Secret):
             is_bit=self.is_bit,
             plain=self.plain,
             mask_bits=self.mask_bits,
+            span=self.span,
         )
 
     def sum(self, axis: int = -1) -> Value:
@@ -160,7 +175,9 @@ class Value(Secret):
         axis = range(self.ndim)[axis]
         shape = self.shape[:axis] + self.shape[axis + 1 :]
         bound = self.bound.summed(self.shape, axis)
-        return self._map(lambda part: self.engine.ring.sum(part, axis), shape, bound)
+        result = self._map(lambda part: self.engine.ring.sum(part, axis), shape, bound)
+        result.span *= self.shape[axis]
+        return result
 
     def reshape(self, *shape: int) -> Value:
         """The same entries in another shape."""
@@ -193,7 +210,9 @@ class Value(Secret):
 
     def _with(self, parts: tuple[Any, ...], shape: Shape, frac: int, bound: Bound) -> Value:
         """What a linear map of the masks makes of this value."""
-        return Value(self.engine, parts, shape, frac, bound, masked=self.masked, mask_bits=self.mask_bits)
+        value = Value(self.engine, parts, shape, frac, bound, masked=self.masked)
+        value.mask_bits, value.span = self.mask_bits, self.span
+        return value
 
     def _map(
         self, linear: Callable[[Any], Any], shape: Shape, bound: Bound, frac: int | None = None
@@ -206,7 +225,8 @@ class Value(Secret):
         shape = np.broadcast_shapes(self.shape, np.shape(raw))
         bound = self.bound.broadcast(self.shape, shape).scaled(magnitude(raw))
         scaled = self._map(lambda part: self.engine.ring.scale(part, raw), shape, bound, frac)
-        if not np.all(raw):
+        scaled.span *= magnitude(raw)
+        if not np.all(raw) and not self.span:
             scaled.mask_bits = 0  # where a factor is 0, so is the mask
         return scaled
 
@@ -219,8 +239,10 @@ class Value(Secret):
             both(p, q) if p is not None and q is not None else p if q is None else alone(q)
             for p, q in zip(x.parts, y.parts, strict=True)
         )
-        length = min(x.mask_bits, y.mask_bits)
-        return Value(x.engine, parts, x.shape, x.frac, x.bound + y.bound, masked=x.masked, mask_bits=length)
+        value = Value(x.engine, parts, x.shape, x.frac, x.bound + y.bound, masked=x.masked)
+        value.mask_bits = min(x.mask_bits, y.mask_bits)
+        value.span = x.span + y.span if x.span and y.span else 0
+        return value
 
 
 def aligned(x: Value, y: Value) -> tuple[Value, Value]:
@@ -256,6 +278,7 @@ def concatenate(*values: Value) -> Value:
         bound,
         masked=values[0].masked,
         mask_bits=min(value.mask_bits for value in values),
+        span=max(value.span for value in values) if all(value.span for value in values) else 0,
     )
 
 
