@@ -1,4 +1,4 @@
-"""Key derivation and pseudo-random expansion: SHA-256 ratchet, AES-CTR, fixed-key AES hash.
+"""Key derivation and pseudo-random expansion: SHA-256 ratchet, AES-CTR, fixed-key AES hashes.
 
 A tape's jobs draw their keys from a forward ratchet: ``chain' = H(next, chain)``, ``key = H(job, chain)``;
 a third hash gives the key under which the job's stored correction is sealed.
@@ -8,12 +8,14 @@ Once a chain value is overwritten, neither it nor an earlier job's key can be re
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 
-from spdz.foundations.types import Block
+from spdz.foundations.types import Block, Buffer
 
 CHAIN_BYTES = 32
 """Length of a chain value and of a job key."""
@@ -24,6 +26,12 @@ _NEXT = b"spdz prf v1: next chain\0"
 _JOB = b"spdz prf v1: job key\0"
 _SEAL = b"spdz prf v1: seal key\0"
 _FIXED_KEY_LABEL = b"spdz prf v1: fixed AES key"
+_CIRCULAR_LABEL = b"spdz prf v1: circular AES key\0"
+
+_Words: TypeAlias = npt.NDArray[np.uint64]
+
+Batches: TypeAlias = Sequence[tuple[slice, bytes]]
+"""Consecutive slices that cover n keys from the first on, each with its public 16-byte key."""
 
 
 def next_chain(chain: bytes) -> bytes:
@@ -121,3 +129,77 @@ class FixedKeyHash:
             xor(encrypted, inp, out)
 
         return run
+
+
+class CircularHash:
+    """H_k(x) = AES_k(sigma(x)) xor sigma(x), sigma(low, high) = (high, high xor low), for batches of blocks.
+
+    Circular correlation-robust when AES is modelled as an ideal cipher: H(x xor Delta), also with Delta
+    XORed to it, looks random to whoever does not know Delta. Without sigma it is not, as Delta cancels
+    between the hash and what is XORed to it. Guo, Katz, Wang, Yu, "Efficient and Secure Multiparty
+    Computation from Fixed-Key Block Ciphers", IEEE S&P 2020 (sigma is a linear orthomorphism).
+
+    The AES key of a batch is the start of SHA-256("spdz prf v1: circular AES key" || 0 || the batch's key).
+
+    Args:
+        n: Number of blocks.
+        batches: They cover the n blocks.
+
+    Raises:
+        ValueError: for slices that do not follow on each other and cover n blocks, or a key that has not
+            16 bytes.
+    """
+
+    __slots__ = ("_batches",)
+
+    def __init__(self, n: int, batches: Batches) -> None:
+        self._batches: list[tuple[int, int, Callable[[Buffer, Buffer], int]]] = []
+        end = 0
+        for keys, key in batches:
+            if keys.start != end or keys.stop <= end or keys.step not in (None, 1):
+                raise ValueError(f"a batch must begin where the one before it ends, at {end}, not {keys}")
+            if len(key) != _BLOCK:
+                raise ValueError(f"the public key of a batch has {_BLOCK} bytes, not {len(key)}")
+            aes_key = hashlib.sha256(_CIRCULAR_LABEL + key).digest()[:_BLOCK]
+            encryptor = Cipher(algorithms.AES(aes_key), modes.ECB()).encryptor()
+            self._batches.append((end, keys.stop, encryptor.update_into))
+            end = keys.stop
+        if end != n:
+            raise ValueError(f"the batches cover {end} blocks, not {n}")
+
+    def bind(self, start: int, inp: _Words, out: _Words) -> Callable[[], None]:
+        """A function that hashes m of the blocks, from the block ``start`` on, each time that it is called.
+
+        Args:
+            start: Which block is the first.
+            inp: All low words, then all high words: contiguous, shape (2, m).
+            out: The same; it may be ``inp``.
+        """
+        stop = start + inp.shape[1]
+        blocks = np.empty((inp.shape[1], 2), dtype=np.uint64)
+        # update_into asks for room for one more block, less a byte, than it writes.
+        scratch = np.empty(blocks.nbytes + _BLOCK, dtype=np.uint8)
+        encrypted = scratch[: blocks.nbytes].view(np.uint64).reshape(blocks.shape)
+        source, destination = blocks.reshape(-1).view(np.uint8).data, scratch.data
+        calls = []
+        for first, last, update in self._batches:
+            begin, end = (_BLOCK * (min(max(i, start), stop) - start) for i in (first, last))
+            if begin < end:
+                calls.append((update, source[begin:end], destination[begin : end + _BLOCK]))
+        low, high, xor = blocks[:, 0], blocks[:, 1], np.bitwise_xor
+        encrypted_low, encrypted_high, out_low, out_high = encrypted[:, 0], encrypted[:, 1], out[0], out[1]
+
+        def run() -> None:
+            _sigma_into(inp, low, high)
+            for update, plain, room in calls:
+                update(plain, room)
+            xor(encrypted_low, low, out_low)
+            xor(encrypted_high, high, out_high)
+
+        return run
+
+
+def _sigma_into(inp: _Words, low: _Words, high: _Words) -> None:
+    """The linear orthomorphism: x and sigma(x) xor x are both bijective in x."""
+    low[...] = inp[1]
+    np.bitwise_xor(inp[0], inp[1], high)
