@@ -8,53 +8,49 @@ the job's two keys, so only *corrections* are written down.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import prod
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from dealer.outlets import JobOutlet, RecordOutlet
 from dealer.randomness import MacKey, uniform_below
-from spdz import dcf
 from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.fixed_point import FRACTION_BITS
 from spdz.arithmetic.public import Raw
 from spdz.arithmetic.rings import FieldRing
-from spdz.foundations.types import Buffer, FieldArray, Security, Shape
+from spdz.foundations.types import Block, FieldArray, Security, Shape
 from spdz.readings.meter import Plan
-from spdz.readings.party import JobStream
 from spdz.readings.program import Program, run
 from spdz.readings.stock import Stock
+from spdz.readings.streams import JobStream, RecordStream
 from spdz.rounds.coroutine import exchange, run_silently
-from spdz.rounds.wire import to_bytes
 from spdz.values import input_mask
 from spdz.values.engine import Gate, Input, Recipe
+from spdz.values.trees import TreePads, of_party
 from spdz.values.value import Value
 
 _RING = FieldRing()
 
 
+Pads: TypeAlias = tuple[JobStream, JobStream] | tuple[RecordStream, RecordStream]
+Outlet: TypeAlias = JobOutlet | RecordOutlet
+
+
 class DealtJob(Recipe):
-    """One job being dealt."""
+    """One job, or the records of many slots or pairs, being dealt."""
 
-    def __init__(self, security: Security, pads: tuple[JobStream, JobStream], mac_key: MacKey | None) -> None:
+    def __init__(self, security: Security, pads: Pads, mac_key: MacKey | None, outlet: Outlet) -> None:
         self.security, self.ring = security, _RING
-        self._pads, self._mac_key = pads, mac_key
-        self._corrections: tuple[list[Buffer], list[Buffer]] = ([], [])
+        self._pads, self._mac_key, self._outlet = pads, mac_key, outlet
         self._unchecked = False
-
-    @property
-    def corrections(self) -> tuple[bytes, bytes]:
-        """What either party must store for this job."""
-        first, second = (b"".join(parts) for parts in self._corrections)
-        return first, second
 
     @property
     def has_unchecked_openings(self) -> bool:
         """As the meter sees it."""
         return self._unchecked
 
-    def read(self, gate: Gate, *operands: Any) -> Any:
+    def _read(self, gate: Gate, *operands: Any) -> Any:
         """Deal a gate."""
         return gate.deal(self, *operands)
 
@@ -143,10 +139,34 @@ class DealtJob(Recipe):
         columns = payload.reshape(-1, width, 2)
         if self._mac_key is not None:
             columns = np.concatenate([columns, field.scale(columns, self._mac_key.alpha)], axis=1)
-        roots = [pad.pad_blocks((prod(shape),)) for pad in self._pads]
-        key = dcf.generate(roots[0], roots[1], thresholds.reshape(-1, 2), columns, bits)
+        roots = (self._pads[0].pad_rows(shape), self._pads[1].pad_rows(shape))
+        self._outlet.keys(roots, shape, thresholds.reshape(-1, 2), columns, bits)
+
+    def tree(
+        self,
+        kind: str,
+        z: Value,
+        levels: int,
+        make: Callable[[TreePads], tuple[Block, Block, Block | None]],
+        *,
+        top: bool,
+    ) -> None:
+        """Delta and the random halves of ``first`` and ``top`` are pads; the rest is stored."""
+        shape, (pad0, pad1) = z.shape, self._pads
+        batches, order = self._outlet.batches(shape)
+        deltas = (of_party(pad0.delta(shape), 0), of_party(pad1.delta(shape), 1))
+        first, beside = pad1.pad_rows(shape), pad0.pad_rows(shape) if top else None
+        first0, words, top1 = make(TreePads(deltas, first, beside, batches, order))
+        self._outlet.rows(0, shape, first0)
+        if top1 is not None:
+            self._outlet.rows(1, shape, top1)
         for party in (0, 1):
-            self._corrections[party].append(key)
+            self._outlet.rows(party, shape, words)
+
+    async def opening_bits(self, bits: int) -> None:
+        """As :meth:`round`."""
+        self._unchecked = self.malicious
+        await exchange([], 0, 0)
 
     async def round(self, sent: tuple[int, int]) -> None:
         """Nobody is sent anything, but lanes must suspend where a party's do."""
@@ -164,7 +184,7 @@ class DealtJob(Recipe):
             self._write(stored_by, field.sub(field.scale(value, self._mac_key.alpha), pad))
 
     def _write(self, party: int, elements: FieldArray) -> None:
-        self._corrections[party].append(to_bytes(elements))
+        self._outlet.entries(party, elements.shape[:-1], elements)
 
 
 def deal_job(
@@ -182,9 +202,9 @@ def deal_job(
     Returns:
         Both parties' corrections.
     """
-    job = _new_job(plan.pad_bytes, security, keys, mac_key)
-    run_silently(run(job, program, plan.inputs))
-    return job.corrections
+    outlet = JobOutlet()
+    run_silently(run(_new_job(plan.pad_bytes, security, keys, mac_key, outlet), program, plan.inputs))
+    return outlet.corrections
 
 
 def deal_stock(
@@ -195,13 +215,17 @@ def deal_stock(
     mac_key: MacKey | None,
 ) -> tuple[bytes, bytes]:
     """Deal a stock of triples, for no program in particular; arguments as for :func:`deal_job`."""
-    job = _new_job(pad_bytes, security, keys, mac_key)
-    stock.deal(job)
-    return job.corrections
+    outlet = JobOutlet()
+    stock.deal(_new_job(pad_bytes, security, keys, mac_key, outlet))
+    return outlet.corrections
 
 
 def _new_job(
-    pad_bytes: tuple[int, int], security: Security, keys: tuple[bytes, bytes], mac_key: MacKey | None
+    pad_bytes: tuple[int, int],
+    security: Security,
+    keys: tuple[bytes, bytes],
+    mac_key: MacKey | None,
+    outlet: JobOutlet,
 ) -> DealtJob:
     first, second = (JobStream(key, size, b"") for key, size in zip(keys, pad_bytes, strict=True))
-    return DealtJob(security, (first, second), mac_key)
+    return DealtJob(security, (first, second), mac_key, outlet)

@@ -18,9 +18,10 @@ from spdz.foundations.stats import Outcome, Stats
 from spdz.foundations.types import IntArray, Security, Shape
 from spdz.readings.clear import Clear
 from spdz.readings.meter import measure, measure_stock
-from spdz.readings.party import JobStream, Party
+from spdz.readings.party import Party
 from spdz.readings.program import Program, declare, quantise, run
 from spdz.readings.stock import Stock, StockedParty
+from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import Exchange, Protocol
 from spdz.rounds.mac_check import MacCheck, drive
 from spdz.values.engine import Evaluation

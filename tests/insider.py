@@ -24,9 +24,10 @@ from spdz.arithmetic.field import P
 from spdz.foundations.errors import MacCheckFailed, ProtocolViolation, SpdzError
 from spdz.foundations.stats import Stats
 from spdz.readings.meter import measure, measure_stock
-from spdz.readings.party import JobStream, Party
+from spdz.readings.party import Party
 from spdz.readings.program import declare, quantise, run
 from spdz.readings.stock import StockedParty
+from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import Check, Exchange
 from spdz.rounds.mac_check import DIGEST_BYTES, MacCheck, drive
 from spdz.session.session import _all

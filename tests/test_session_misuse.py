@@ -23,8 +23,8 @@ from spdz import (
     dot,
 )
 from spdz.channels import FrameKind, memory_pair
-from spdz.readings.party import JobStream
 from spdz.readings.plans import KEPT, Plans, constants, unchanging
+from spdz.readings.streams import JobStream
 from spdz.tape import Tape
 
 SHAPES = ((4,), (4,))

@@ -68,5 +68,6 @@ With radix R the two control bits let whole blocks be masked at once.
 from spdz.dcf.dealing import generate
 from spdz.dcf.evaluation import evaluate
 from spdz.dcf.format import key_bytes
+from spdz.dcf.keys import Keys
 
-__all__ = ["evaluate", "generate", "key_bytes"]
+__all__ = ["Keys", "evaluate", "generate", "key_bytes"]

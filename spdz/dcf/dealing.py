@@ -22,7 +22,16 @@ from spdz.dcf.format import (
 from spdz.foundations.types import Block, FieldArray
 
 
-def generate(roots0: Block, roots1: Block, threshold: Block, payload: FieldArray, bits: int) -> bytes:
+def generate(
+    roots0: Block,
+    roots1: Block,
+    threshold: Block,
+    payload: FieldArray,
+    bits: int,
+    *,
+    digit_bits: int | None = None,
+    index: int | None = None,
+) -> bytes:
     """Deal n keys.
 
     Args:
@@ -31,6 +40,8 @@ def generate(roots0: Block, roots1: Block, threshold: Block, payload: FieldArray
         threshold: The secret a, shape (n, 2), below 2^bits.
         payload: The secret beta, shape (n, w, 2).
         bits: Width of the domain, 1 to 127.
+        digit_bits: Of the tree, where it is not the one of n keys.
+        index: Which public hash, below 2^32; a random one if not given.
 
     Returns:
         The correction words, ``key_bytes(n, bits, w)`` bytes, for both parties.
@@ -47,10 +58,11 @@ def generate(roots0: Block, roots1: Block, threshold: Block, payload: FieldArray
     check_domain("threshold", threshold, (n,), bits)
     if not field.is_canonical(payload):
         raise ValueError("the payload must be below p")
-    index = secrets.randbits(INDEX_BITS)
+    digit_bits = digit_bits or digit_width(n)
+    index = secrets.randbits(INDEX_BITS) if index is None else index
     fixed_key_hash = FixedKeyHash(index)
-    key = np.zeros(key_bytes(n, bits, w) // 8, dtype=WORD)
+    key = np.zeros(key_bytes(n, bits, w, digit_bits) // 8, dtype=WORD)
     key[0] = index
-    tree = binary if digit_width(n) == 1 else radix
+    tree = binary if digit_bits == 1 else radix
     tree.deal(fixed_key_hash, (roots0, roots1), threshold, payload, bits, key[HEADER // 8 :])
     return key.tobytes()

@@ -20,7 +20,9 @@ from spdz.dcf.format import (
 from spdz.foundations.types import Block, Buffer, FieldArray
 
 
-def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w: int) -> FieldArray:
+def evaluate(
+    party: int, roots: Block, key: Buffer, points: Block, bits: int, w: int, digit_bits: int | None = None
+) -> FieldArray:
     """One party's additive shares of beta [x < a] for n keys, each at its own point or at k points.
 
     Args:
@@ -30,6 +32,7 @@ def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w:
         points: The public x below 2^bits, shape (n, 2) or (n, k, 2).
         bits: Width of the domain, 1 to 127.
         w: Payloads a key.
+        digit_bits: Of the tree, where it is not the one of n keys.
 
     Returns:
         Shares of shape (n, w, 2) or (n, k, w, 2).
@@ -44,15 +47,15 @@ def evaluate(party: int, roots: Block, key: Buffer, points: Block, bits: int, w:
     check_blocks("roots", roots, (n,))
     k = points.shape[1] if points.ndim == 3 else 1
     check_domain("points", points, (n, k) if points.ndim == 3 else (n,), bits)
-    if memoryview(key).nbytes != key_bytes(n, bits, w):
-        size = key_bytes(n, bits, w)
+    digit_bits = digit_bits or digit_width(n)
+    if memoryview(key).nbytes != (size := key_bytes(n, bits, w, digit_bits)):
         raise ValueError(f"{n} keys of {bits} bits have {size} bytes, not {memoryview(key).nbytes}")
     words = np.frombuffer(key, dtype=WORD)
     index = int(words[0]) | int(words[1]) << 64
     if index >> INDEX_BITS:
         raise ValueError("the key does not begin with a hash index: it is damaged or not a key")
     fixed_key_hash = FixedKeyHash(index)
-    tree = binary if digit_width(n) == 1 else radix
+    tree = binary if digit_bits == 1 else radix
     sums = tree.evaluate(fixed_key_hash, party, roots, words[HEADER // 8 :], points.reshape(n, k, 2), bits, w)
     shares = field.from_words32(sums.reshape(*points.shape[:-1], w, 4))
     return field.neg(shares) if party else shares

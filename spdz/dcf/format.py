@@ -25,9 +25,9 @@ SIGN.flags.writeable = False
 Words: TypeAlias = npt.NDArray[np.uint64]
 
 
-def key_bytes(n: int, bits: int, w: int) -> int:
+def key_bytes(n: int, bits: int, w: int, digit_bits: int | None = None) -> int:
     """Length of the correction words of n keys with w payloads each: a multiple of 16."""
-    digit_bits = digit_width(n)
+    digit_bits = digit_bits or digit_width(n)
     if digit_bits == 1:
         return HEADER + 16 * n * (bits + w * (bits + 1))
     levels = level_count(bits, digit_bits)

@@ -9,6 +9,7 @@ public bound, :mod:`spdz.arithmetic.bound`) an entry costs a DCF key of b - 1 le
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy.typing as npt
 
@@ -52,8 +53,13 @@ async def nonnegative(z: Value, bound: int | None = None) -> Value:
     if bound is not None:
         z = z.bounded(Bound.of_entry(limit(bound, 0, "bound"), z.shape))
     (z,) = await mask(z)
-    (bit,) = piecewise(z, _AT_LEAST_0)
-    return bit
+    frac, limit_of_bit = _AT_LEAST_0.functions[0].form(z.shape)
+
+    def decided() -> tuple[Any, ...]:
+        (bit,) = piecewise(z, _AT_LEAST_0)
+        return bit.parts
+
+    return Value(z.engine, decided, z.shape, frac, limit_of_bit, is_bit=True, sign_of=z)
 
 
 async def sign(z: Value) -> Value:

@@ -13,17 +13,14 @@ opened is recorded for the MAC check.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod
-from typing import Any
 
 import numpy as np
 
 from spdz.arithmetic import field
 from spdz.arithmetic.bound import NOTHING, Bound
 from spdz.arithmetic.field import P
-from spdz.arithmetic.rings import Ring
 from spdz.foundations.types import FieldArray
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.values.refusals import expect_secret
@@ -113,30 +110,31 @@ class Mask(Gate):
     """Operands: shared values."""
 
     async def deal(self, recipe: Recipe, *values: Value) -> list[Value]:
-        """Deal one [[r]] for all entries."""
+        """Deal one [[r]] for every entry."""
+        masked = [self._deal(recipe, z) for z in values]
+        await recipe.opening(sum(prod(z.shape) for z in values))
+        return masked
 
-        def make() -> FieldArray:
-            return np.concatenate([_fresh_mask(recipe, z).reshape(-1, 2) for z in values])
-
-        total = sum(prod(z.shape) for z in values)
-        masked = recipe.masked_value("mask", values, (total,), 0, NOTHING, make, count=("mask", total))
-        await recipe.opening(total)
-        return [
-            Value(recipe, part, z.shape, z.frac, z.bound, masked=True)
-            for z, part in zip(values, _split(recipe.ring, masked.parts, values), strict=True)
-        ]
+    def _deal(self, recipe: Recipe, z: Value) -> Value:
+        count = ("mask", prod(z.shape))
+        return recipe.masked_value(
+            "mask", (z,), z.shape, z.frac, z.bound, lambda: _fresh_mask(recipe, z), count=count
+        )
 
     async def evaluate(self, party: Evaluation, *values: Value) -> list[Value]:
         """Open z - r."""
-        total = sum(prod(z.shape) for z in values)
         width = 2 if party.malicious else 1
-        mask = party.authenticated((total,), count=("mask", total))[:width]
-        flat = [np.concatenate([z.parts[j].reshape(-1, 2) for z in values]) for j in range(width)]
-        hidden = [field.sub(z, r) for z, r in zip(flat, mask, strict=True) if r is not None]
-        (eps,) = await party.open(Value(party, tuple(hidden), (total,), 0, NOTHING))
+        masks = [party.authenticated(z.shape, count=("mask", prod(z.shape)))[:width] for z in values]
+        hidden = [
+            tuple(party.ring.sub(part, r) for part, r in zip(z.parts, mask, strict=True))
+            for z, mask in zip(values, masks, strict=True)
+        ]
+        opened = await party.open(
+            *(Value(party, parts, z.shape, 0, NOTHING) for z, parts in zip(values, hidden, strict=True))
+        )
         return [
-            Value(party, part, z.shape, z.frac, z.bound, masked=True)
-            for z, part in zip(values, _split(party.ring, (eps, *mask), values), strict=True)
+            Value(party, (eps, *mask), z.shape, z.frac, z.bound, masked=True)
+            for z, eps, mask in zip(values, opened, masks, strict=True)
         ]
 
     async def clear(self, engine: ClearText, *values: Value) -> list[Value]:
@@ -149,15 +147,6 @@ def _fresh_mask(recipe: Recipe, z: Value) -> FieldArray:
     if bits + SECURITY_BITS >= FULL:
         return recipe.uniform_below(P, z.shape)
     return integer_mask(recipe.uniform_below(P - (1 << bits), z.shape), bits)
-
-
-def _split(ring: Ring, parts: tuple[Any, ...], values: tuple[Value, ...]) -> Iterator[tuple[Any, ...]]:
-    """Cut what belongs to each value out of parts for all of them."""
-    start = 0
-    for z in values:
-        stop = start + prod(z.shape)
-        yield tuple(ring.reshape(ring.index(part, (slice(start, stop),)), z.shape) for part in parts)
-        start = stop
 
 
 async def mask(*values: Value, fresh: bool = False) -> list[Value]:

@@ -3,7 +3,7 @@
 Steps (malicious): 1. check everything opened so far; 2. open the result; 3. check the result. Nothing is
 returned before step 3 has passed, so a session that has not checked cannot output. Cost: one round, and
 one more a check (the first is skipped where nothing but masked inputs has been opened). Semi-honest:
-step 2 alone.
+step 2 alone. Many comparisons that go straight to the output are opened as bits (:mod:`spdz.gates.signs`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from spdz.arithmetic import field
 from spdz.arithmetic.fixed_point import decode
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.gates import signs
 from spdz.rounds.coroutine import check
 from spdz.values.engine import ClearText, Engine, Evaluation, Gate, Recipe
 from spdz.values.value import Value
@@ -24,24 +25,44 @@ from spdz.values.value import Value
 class Output(Gate):
     """Operand: one value. The result is what the user gets: numbers or booleans."""
 
+    decides = False
+
     async def deal(self, recipe: Recipe, z: Value) -> None:
-        """Nothing is dealt; the meter sees the rounds, and what is opened."""
+        """Nothing is dealt but the keys of signs; the meter sees the rounds, and what is opened."""
+        if (compared := signs.straight(z)) is not None:
+            signs.deal(recipe, compared)
+        else:
+            z.decide()
         if recipe.has_unchecked_openings:
             await check()
-        await recipe.opening(prod(z.shape))
-        recipe.shared_value("output", (z,), z.shape, z.frac, z.bound)
+        if compared is not None:
+            await recipe.opening_bits(prod(z.shape))
+            recipe.shared_value("opened signs", (compared,), z.shape, z.frac, z.bound)
+        else:
+            await recipe.opening(prod(z.shape))
+            recipe.shared_value("output", (z,), z.shape, z.frac, z.bound)
         if recipe.malicious:
             await check()
 
     async def evaluate(self, party: Evaluation, z: Value) -> Any:
         """Steps 1 to 3."""
+        keyed = None
+        if (compared := signs.straight(z)) is not None:
+            keyed = signs.evaluate(party, compared)
+        else:
+            z.decide()
         if not party.fully_drawn:
             raise TapeMismatch("the program did not use all that was dealt for it: it is another program")
         if party.has_unchecked_openings:
             await check()
-        (opened,) = await party.open(party.shared(z))
+        if keyed is not None:
+            bits = (await party.open_bits(*keyed)).reshape(z.shape)
+        else:
+            (opened,) = await party.open(party.shared(z))
         if party.malicious:
             await check()
+        if keyed is not None:
+            return bits if z.shape else bool(bits)
         return _decode(field.centered(opened), z)
 
     async def clear(self, engine: ClearText, z: Value) -> Any:

@@ -26,7 +26,6 @@ from math import prod
 import numpy as np
 import numpy.typing as npt
 
-from spdz import dcf
 from spdz.arithmetic import field, inner_product
 from spdz.foundations.types import FieldArray
 from spdz.gates.masking import dealt_integer_mask, in_place, integer_mask
@@ -79,11 +78,11 @@ class Piecewise(Gate):
         pieces, (z, bits), shape = self.pieces, self._in_place(z), z.shape
         width = pieces.width
         half = party.authenticated((*shape, width), count=(KIND, prod(shape)))
-        roots, key = party.comparison_key(shape, bits - 1, width)
+        keys = party.comparison_key(shape, bits - 1, width)
         eps, shares = z.parts[0], len(z.parts) - 1
-        n, columns = prod(shape), shares * width
+        n = prod(shape)
         points = _minus(eps.reshape(n, 1, 2), pieces.words)
-        outputs = dcf.evaluate(party.index, roots, key, low_bits(points, bits - 1), bits - 1, columns)
+        outputs = keys.evaluate(low_bits(points, bits - 1))
         halves = np.concatenate([h.reshape(n, 1, width, 2) for h in half if h is not None], axis=2)
         signed = _signed(_top_bit(points, bits)[..., None], field.sub(outputs, halves))
         sums = _weighted(pieces, signed).reshape((len(pieces.jumps), shares, width, *shape, 2))

@@ -53,9 +53,9 @@ class Polynomial(Gate):
             powers = [r]
             while len(powers) < n:
                 powers.append(field.mul(powers[-1], r))
-            return np.stack(powers[1:] + [field.mul(factor, power) for power in powers])
+            return np.stack(powers[1:] + [field.mul(factor, power) for power in powers], axis=-2)
 
-        recipe.authenticated((2 * n - 1, *shape), make, of=(w, y), count=(KIND, prod(shape)))
+        recipe.authenticated((*shape, 2 * n - 1), make, of=(w, y), count=(KIND, prod(shape)))
         return recipe.shared_value(f"{KIND} {self}", (w, y), shape, *self._form(w))
 
     def _form(self, w: Value) -> tuple[int, Bound]:
@@ -64,10 +64,10 @@ class Polynomial(Gate):
     def evaluate(self, party: Evaluation, w: Value, y: Value) -> Value:
         """The sum of the module's docstring, for few entries one after the other."""
         shape, width = y.shape, len(y.parts) - 1
-        dealt = party.authenticated((2 * self._degree - 1, *shape), count=(KIND, prod(shape)))
+        dealt = party.authenticated((*shape, 2 * self._degree - 1), count=(KIND, prod(shape)))
         nothing = field.zeros(shape)  # the share of an input's mask at the peer
         columns = [nothing if part is None else part for part in (*w.parts, *y.parts)]
-        columns += [row for share in dealt[:width] if share is not None for row in share]
+        columns += [row for share in dealt[:width] if share is not None for row in np.moveaxis(share, -2, 0)]
         if 0 < prod(shape) <= _FEW:
             entries = zip(*(field.to_list(column) for column in columns), strict=True)
             results = [self._entry(width, *entry) for entry in entries]

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from spdz import dcf
 from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound, root
 from spdz.arithmetic.public import fraction_bits
@@ -142,9 +141,9 @@ class TruncateExactly(Gate):
         (half, bits), drop = self._raised(z), self.drop
         shape, width = z.shape, len(z.parts) - 1
         shift = party.authenticated(shape, count=(EXACT, prod(shape)))
-        roots, key = party.comparison_key(shape, drop, 1)
+        keys = party.comparison_key(shape, drop, 1)
         c = half.parts[0]
-        borrow = dcf.evaluate(party.index, roots, key, low_bits(c, drop).reshape(-1, 2), drop, width)
+        borrow = keys.evaluate(low_bits(c, drop).reshape(-1, 2))
         parts = []
         for j in range(width):
             dealt = shift[j]

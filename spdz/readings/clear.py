@@ -24,7 +24,7 @@ class Clear(ClearText):
     def __init__(self, index: int) -> None:
         self.index, self.ring, self.security = index, _RING, "semi-honest"
 
-    def read(self, gate: Gate, *operands: Any) -> Any:
+    def _read(self, gate: Gate, *operands: Any) -> Any:
         """Read a gate's meaning."""
         return gate.clear(self, *operands)
 

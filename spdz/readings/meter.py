@@ -22,13 +22,16 @@ from spdz import dcf
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.fixed_point import FRACTION_BITS
 from spdz.arithmetic.public import Raw
-from spdz.foundations.types import FieldArray, Security, Shape, check_security
+from spdz.dcf.keys import record_bytes
+from spdz.foundations.types import Block, FieldArray, Security, Shape, check_security
 from spdz.readings.program import Program, declare, run
 from spdz.readings.stock import Stock
+from spdz.readings.streams import per_record
 from spdz.rounds.coroutine import Check, Request, exchange, run_silently
 from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.values import input_mask
 from spdz.values.engine import Gate, Input, Recipe
+from spdz.values.trees import TreePads
 from spdz.values.value import Value
 
 
@@ -128,9 +131,10 @@ class SymbolRing:
 class Meter(Recipe):
     """The dealer's reading without data."""
 
-    def __init__(self, security: Security) -> None:
+    def __init__(self, security: Security, lead: Shape = ()) -> None:
+        """Args: the security model, and the axes that count records where a gallery is metered."""
         check_security(security)
-        self.security = security
+        self.security, self.lead = security, lead
         self.ring = SymbolRing()
         self.pad_bytes, self.correction_bytes = [0, 0], [0, 0]
         self.elements_sent = [0, 0]
@@ -144,7 +148,7 @@ class Meter(Recipe):
         """Whether an opening waits for a check."""
         return self._unchecked
 
-    def read(self, gate: Gate, *operands: Any) -> Any:
+    def _read(self, gate: Gate, *operands: Any) -> Any:
         """Read the dealer's text."""
         return gate.deal(self, *operands)
 
@@ -188,7 +192,7 @@ class Meter(Recipe):
 
     def input_mask(self, source: Input) -> Value:
         """N pad elements at the owner; with MACs N more at the peer and N stored at the owner."""
-        size = prod(source.shape)
+        size = self._size(source.shape)
         self._draw(source.owner, pad=size)
         if self.malicious:
             self._draw(1 - source.owner, pad=size)
@@ -209,7 +213,7 @@ class Meter(Recipe):
     ) -> None:
         """One pad element at either party, and one stored where MACs are."""
         self._note("dealt", shape, count, *(operand.parts[0] for operand in of))
-        size = prod(shape)
+        size = self._size(shape)
         self._draw(0, pad=size)
         self._draw(1, correction=size)
         if self.malicious:
@@ -228,11 +232,11 @@ class Meter(Recipe):
         """Random a and b cost pads alone (and MAC corrections); the product is an authenticated value."""
         self._note(kind, shape, product_shape)
         for _ in range(2):
-            self._draw(0, pad=prod(shape))
-            self._draw(1, pad=prod(shape))
+            self._draw(0, pad=self._size(shape))
+            self._draw(1, pad=self._size(shape))
             if self.malicious:
-                self._draw(1, pad=prod(shape))
-                self._draw(0, correction=prod(shape))
+                self._draw(1, pad=self._size(shape))
+                self._draw(0, correction=self._size(shape))
         self.authenticated(product_shape, lambda: product(None, None), count=(kind, prod(product_shape)))  # type: ignore[arg-type]
 
     def uniform_below(self, limit: int, shape: Shape) -> FieldArray:
@@ -244,10 +248,41 @@ class Meter(Recipe):
     ) -> None:
         """A root seed at either party, the same correction words at both."""
         self._note("comparison key", shape, bits, width)
-        size, payloads = prod(shape), 2 * width if self.malicious else width
+        size, payloads = self._size(shape), 2 * width if self.malicious else width
         for party in (0, 1):
             self._draw(party, pad=size)
-            self.correction_bytes[party] += dcf.key_bytes(size, bits, payloads)
+            self.correction_bytes[party] += (
+                record_bytes(size, bits, payloads) if self.lead else dcf.key_bytes(size, bits, payloads)
+            )
+
+    def tree(
+        self,
+        kind: str,
+        z: Value,
+        levels: int,
+        make: Callable[[TreePads], tuple[Block, Block, Block | None]],
+        *,
+        top: bool,
+    ) -> None:
+        """The words at both; ``first`` pad at party 1 and stored at 0, ``top`` the other way round."""
+        self._note("tree", kind, z.shape, levels, top, z.parts[0])
+        size = self._size(z.shape)
+        if not self.lead:  # in a gallery Delta and hash key are the tile's
+            for party in (0, 1):
+                self._draw(party, pad=1, correction=1)
+        self._draw(1, pad=size)
+        self._draw(0, correction=size)
+        if top:
+            self._draw(0, pad=size)
+            self._draw(1, correction=size)
+        for party in (0, 1):
+            self._draw(party, correction=size * (levels - 1))
+        self.correlations[kind.split(" of ")[0]] += prod(z.shape)
+
+    async def opening_bits(self, bits: int) -> None:
+        """Count one round."""
+        self._unchecked = self.malicious
+        await self.round((0, 0))
 
     async def round(self, sent: tuple[int, int]) -> None:
         """Count one round."""
@@ -259,6 +294,10 @@ class Meter(Recipe):
         """Count one round whose openings wait for a check."""
         self._unchecked = self.malicious
         await self.round((elements, elements))
+
+    def _size(self, shape: Shape) -> int:
+        """Entries of an array, of one record where a gallery is metered."""
+        return per_record(shape, self.lead)
 
     def _note(self, *items: object) -> Symbol:
         """Add a draw or a result to the trace, whose order is the drawing order."""

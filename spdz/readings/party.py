@@ -17,65 +17,25 @@ from math import prod
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from spdz import dcf
 from spdz.arithmetic import field
-from spdz.arithmetic.prf import expand
 from spdz.arithmetic.public import Raw
 from spdz.arithmetic.rings import FieldRing, elements
-from spdz.foundations.errors import TapeDamaged
+from spdz.dcf import Keys
+from spdz.foundations.errors import ProtocolViolation
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import Block, Buffer, FieldArray, Security, Shape
+from spdz.foundations.types import Block, FieldArray, Security, Shape
+from spdz.readings.streams import JobStream, RecordStream
+from spdz.rounds.coroutine import exchange
 from spdz.rounds.mac_check import MacCheck
-from spdz.rounds.wire import ELEMENT_BYTES, exchange_elements
+from spdz.rounds.wire import exchange_elements
 from spdz.values import input_mask
 from spdz.values.engine import Evaluation, Gate, Input, Share, Triple
+from spdz.values.trees import TreeKey, of_party
 from spdz.values.value import Value
 
 _RING = FieldRing()
-
-
-class JobStream:
-    """The pad and the correction of one job, consumed from front to back."""
-
-    __slots__ = ("_blocks", "_correction", "_correction_at", "_pad", "_pad_at")
-
-    def __init__(self, key: bytes, pad_bytes: int, correction: Buffer) -> None:
-        self._blocks = expand(key, pad_bytes)
-        self._pad = field.from_blocks(self._blocks)
-        self._correction = memoryview(correction)
-        self._pad_at = self._correction_at = 0
-
-    def _next(self, count: int) -> slice:
-        start, self._pad_at = self._pad_at, self._pad_at + count
-        if self._pad_at > len(self._pad):
-            raise TapeDamaged("the job's pad is shorter than the program needs")
-        return slice(start, self._pad_at)
-
-    def pad_blocks(self, shape: Shape) -> Block:
-        """The next pseudo-random 128-bit blocks."""
-        return self._blocks[self._next(prod(shape))].reshape((*shape, 2))
-
-    def pad(self, shape: Shape) -> FieldArray:
-        """The next pseudo-random field elements."""
-        return self._pad[self._next(prod(shape))].reshape((*shape, 2))
-
-    def correction_bytes(self, size: int) -> memoryview:
-        """The next stored bytes."""
-        start, self._correction_at = self._correction_at, self._correction_at + size
-        if self._correction_at > len(self._correction):
-            raise TapeDamaged("the job's record is shorter than the program needs")
-        return self._correction[start : self._correction_at]
-
-    def correction(self, shape: Shape) -> FieldArray:
-        """The next stored field elements."""
-        raw = self.correction_bytes(ELEMENT_BYTES * prod(shape))
-        return np.frombuffer(raw, dtype=np.uint64).reshape((*shape, 2))
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether the whole job has been drawn."""
-        return self._pad_at == len(self._pad) and self._correction_at == len(self._correction)
 
 
 class Party(Evaluation):
@@ -94,7 +54,7 @@ class Party(Evaluation):
         self,
         index: int,
         security: Security,
-        stream: JobStream,
+        stream: JobStream | RecordStream,
         mac_check: MacCheck | None,
         alpha: int | None,
         stats: Stats,
@@ -106,7 +66,7 @@ class Party(Evaluation):
     def __repr__(self) -> str:
         return f"<{self.security} party {self.index}>"
 
-    def read(self, gate: Gate, *operands: Any) -> Any:
+    def _read(self, gate: Gate, *operands: Any) -> Any:
         """Evaluate a gate."""
         return gate.evaluate(self, *operands)
 
@@ -179,11 +139,23 @@ class Party(Evaluation):
         """Whether the job is used up."""
         return self._stream.exhausted
 
-    def comparison_key(self, shape: Shape, bits: int, width: int) -> tuple[Block, Buffer]:
-        """Root seeds from the pad, correction words from the record."""
-        size, payloads = prod(shape), 2 * width if self.malicious else width
-        roots = self._stream.pad_blocks((size,))
-        return roots, self._stream.correction_bytes(dcf.key_bytes(size, bits, payloads))
+    def comparison_key(self, shape: Shape, bits: int, width: int) -> Keys:
+        """Root seeds from the pad, correction words stored."""
+        return self._stream.keys(self.index, shape, bits, 2 * width if self.malicious else width)
+
+    def tree(self, kind: str, shape: Shape, levels: int, *, top: bool) -> TreeKey:
+        """Delta from the pad; ``first`` is party 1's pad, ``top`` party 0's, and the rest is stored."""
+        self._stats.book(kind, prod(shape))
+        stream = self._stream
+        batches, order = stream.batches(shape)
+        delta = of_party(stream.delta(shape), self.index)
+        blocks = [stream.pad_rows(shape) if self.index == 1 else stream.correction_rows(shape, 1)[:, 0]]
+        if top:
+            blocks.append(
+                stream.pad_rows(shape) if self.index == 0 else stream.correction_rows(shape, 1)[:, 0]
+            )
+        words = stream.correction_rows(shape, levels - 1)
+        return TreeKey(delta, blocks[0], words, blocks[1] if top else None, batches, order)
 
     def _mac(self, shape: Shape, *, stored: bool) -> FieldArray | None:
         if not self.malicious:
@@ -201,3 +173,15 @@ class Party(Evaluation):
             for value, number in zip(values, opened, strict=True):
                 self._mac_check.record(number, value.parts[1])
         return opened
+
+    async def open_bits(self, shares: Block, delta: Block) -> npt.NDArray[np.bool_]:
+        """Exchange the lowest bits, packed; the rest of every share is its MAC."""
+        n = len(shares)
+        own = np.packbits((shares[:, 0] & np.uint64(1)).astype(np.uint8), bitorder="little")
+        theirs = np.frombuffer(await exchange([own.data], len(own), 0), dtype=np.uint8)
+        both = np.unpackbits(own ^ theirs, bitorder="little")
+        if both[n:].any():
+            raise ProtocolViolation("the peer sent bits beyond the last one")
+        if self._mac_check is not None:
+            self._mac_check.record_bits(shares ^ np.where(both[:n, None] != 0, delta, np.uint64(0)))
+        return both[:n].astype(np.bool_)

@@ -16,13 +16,16 @@ from math import prod
 from types import MappingProxyType
 
 from spdz.arithmetic import field, inner_product
+from spdz.dcf import Keys
 from spdz.foundations.errors import TapeExhausted, TapeMismatch
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import Block, Buffer, FieldArray, Security, Shape
-from spdz.readings.party import JobStream, Party
+from spdz.foundations.types import FieldArray, Security, Shape
+from spdz.readings.party import Party
+from spdz.readings.streams import JobStream
 from spdz.rounds.mac_check import MacCheck
 from spdz.values.engine import Input, Recipe, Share, Triple
 from spdz.values.input_mask import LONG
+from spdz.values.trees import TreeKey
 
 SCALAR, VECTOR = "scalar triple", "vector triple"
 
@@ -116,7 +119,11 @@ class StockedParty(Party):
         """A stock need not be used up."""
         return True
 
-    def comparison_key(self, shape: Shape, bits: int, width: int) -> tuple[Block, Buffer]:
+    def comparison_key(self, shape: Shape, bits: int, width: int) -> Keys:
+        """As :meth:`authenticated`."""
+        raise TapeMismatch("a stock holds no comparison keys: deal for this program")
+
+    def tree(self, kind: str, shape: Shape, levels: int, *, top: bool) -> TreeKey:
         """As :meth:`authenticated`."""
         raise TapeMismatch("a stock holds no comparison keys: deal for this program")
 

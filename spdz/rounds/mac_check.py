@@ -27,7 +27,7 @@ from typing import TypeVar
 
 from spdz.arithmetic import field
 from spdz.foundations.errors import MacCheckFailed
-from spdz.foundations.types import Buffer, FieldArray
+from spdz.foundations.types import Block, Buffer, FieldArray
 from spdz.rounds.coroutine import Check, Exchange, Protocol
 
 T = TypeVar("T")
@@ -42,7 +42,7 @@ class MacCheck:
         """Args: this party's share of the MAC key, its number, and the session id."""
         self._alpha, self._party = alpha, party
         self._prefix = b"spdz mac-check" + hashlib.sha256(session).digest()
-        self._opened: list[tuple[FieldArray, FieldArray]] = []
+        self._opened: list[tuple[FieldArray, FieldArray] | Block] = []
         self._transcript = hashlib.sha256(b"spdz transcript")
         self._checks = 0
         self._failed = False
@@ -58,6 +58,10 @@ class MacCheck:
     def record(self, opened: FieldArray, mac: FieldArray) -> None:
         """Remember an opened array and this party's MAC shares of it."""
         self._opened.append((opened, mac))
+
+    def record_bits(self, sigma: Block) -> None:
+        """Remember what must be the same blocks at both parties if the bits opened are right."""
+        self._opened.append(sigma)
 
     def absorb(self, sent: Sequence[Buffer], received: Buffer) -> None:
         """Add one round to the transcript, party 0's message first."""
@@ -90,9 +94,15 @@ class MacCheck:
         digest.update(self._checks.to_bytes(8, "little"))
         digest.update(self._transcript.digest())
         digest.update(party.to_bytes(1, "little"))
-        for opened, mac in self._opened:
-            sigma = field.sub(mac, field.scale(opened, self._alpha))
-            digest.update((sigma if self._party == 0 else field.neg(sigma)).tobytes())
+        for entry in self._opened:
+            if isinstance(entry, tuple):
+                opened, mac = entry
+                sigma = field.sub(mac, field.scale(opened, self._alpha))
+                kind, same = b"element", sigma if self._party == 0 else field.neg(sigma)
+            else:
+                kind, same = b"bits", entry
+            digest.update(kind + (same.size // 2).to_bytes(8, "little"))
+            digest.update(same.tobytes())
         return digest.digest()[:DIGEST_BYTES]
 
 

@@ -35,9 +35,10 @@ from spdz.foundations.errors import (
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json, Shape
 from spdz.readings.meter import Plan
-from spdz.readings.party import JobStream, Party
+from spdz.readings.party import Party
 from spdz.readings.plans import Plans
 from spdz.readings.program import Program, declare, quantise, run
+from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.rounds.wire import ELEMENT_BYTES

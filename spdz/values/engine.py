@@ -18,11 +18,16 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from typing import Any, TypeAlias
 
+import numpy as np
+import numpy.typing as npt
+
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.public import Raw
 from spdz.arithmetic.rings import Ring
-from spdz.foundations.types import Block, Buffer, FieldArray, IntArray, Security, Shape
+from spdz.dcf import Keys
+from spdz.foundations.types import Block, FieldArray, IntArray, Security, Shape
 from spdz.values import input_mask
+from spdz.values.trees import TreeKey, TreePads
 from spdz.values.value import Value
 
 
@@ -48,6 +53,10 @@ class Engine(ABC):
 
     ring: Ring
     security: Security
+    resolution: int | None = None
+    """Fractional bits that a comparison which goes straight to the output looks at; None: all of them."""
+    half_tree_from: int = 64
+    """Entries from which such a comparison is made by half-trees (:mod:`spdz.gates.signs`); measured."""
 
     @property
     def malicious(self) -> bool:
@@ -58,9 +67,17 @@ class Engine(ABC):
         """How long the mask of an input is (:mod:`spdz.values.input_mask`)."""
         return input_mask.word_bits(source.shape, source.norm)
 
-    @abstractmethod
     def read(self, gate: Gate, *operands: Any) -> Any:
         """Read a gate in this engine's way (a coroutine for interactive gates)."""
+        if gate.decides:
+            for operand in operands:
+                if isinstance(operand, Value):
+                    operand.decide()
+        return self._read(gate, *operands)
+
+    @abstractmethod
+    def _read(self, gate: Gate, *operands: Any) -> Any:
+        """Read a gate whose operands are known."""
 
     @abstractmethod
     def shared(self, x: Value) -> Value:
@@ -145,6 +162,30 @@ class Recipe(Engine):
         """
 
     @abstractmethod
+    def tree(
+        self,
+        kind: str,
+        z: Value,
+        levels: int,
+        make: Callable[[TreePads], tuple[Block, Block, Block | None]],
+        *,
+        top: bool,
+    ) -> None:
+        """Deal half-tree keys, one an entry of z: ``make`` gives party 0's ``first``, the words, and ``top``.
+
+        Args:
+            kind: Of the correlation.
+            z: The masked value that the keys are for.
+            levels: Of the trees.
+            make: Deals, in the order of the keys.
+            top: Whether there is an XOR-shared block beside each tree.
+        """
+
+    @abstractmethod
+    async def opening_bits(self, bits: int) -> None:
+        """One round that opens so many bits."""
+
+    @abstractmethod
     async def round(self, sent: tuple[int, int]) -> None:
         """One round in which party i sends ``sent[i]`` field elements of its own inputs."""
 
@@ -184,8 +225,16 @@ class Evaluation(Engine):
         """Whether everything that was dealt for the job has been drawn."""
 
     @abstractmethod
-    def comparison_key(self, shape: Shape, bits: int, width: int) -> tuple[Block, Buffer]:
-        """Draw this party's DCF root seeds and the keys' correction words."""
+    def comparison_key(self, shape: Shape, bits: int, width: int) -> Keys:
+        """Draw this party's DCF keys."""
+
+    @abstractmethod
+    def tree(self, kind: str, shape: Shape, levels: int, *, top: bool) -> TreeKey:
+        """Draw this party's half-tree keys."""
+
+    @abstractmethod
+    async def open_bits(self, shares: Block, delta: Block) -> npt.NDArray[np.bool_]:
+        """Open n bits from shares of ``bit * Delta``, shape (n, 2), recording them for the MAC check."""
 
     @abstractmethod
     def plus_public(self, x: Value, public: FieldArray) -> Value:
@@ -210,6 +259,9 @@ class ClearText(Engine):
 
 class Gate(ABC):
     """One gate in its three readings. Interactive gates return coroutines from all three."""
+
+    decides: bool = True
+    """Whether an operand that is an undecided comparison is decided first (:meth:`Value.decide`)."""
 
     @abstractmethod
     def deal(self, recipe: Recipe, *operands: Any) -> Any:

@@ -50,26 +50,28 @@ class Value(Secret):
         is_bit: True if the entries are 0 or 1.
         plain: The owner's own raw input, where this value is one (int64); else None.
         mask_bits: Bits of the mask's randomness (127 for a fresh one; truncation takes some away).
+        sign_of: Of a comparison with 0, the masked value that is compared.
         span: Of a value whose mask is a small integer, the largest magnitude of that mask; else 0.
     """
 
     __slots__ = (
+        "_parts",
         "bound",
         "engine",
         "frac",
         "is_bit",
         "mask_bits",
         "masked",
-        "parts",
         "plain",
         "shape",
+        "sign_of",
         "span",
     )
 
     def __init__(
         self,
         engine: Engine,
-        parts: tuple[Any, ...],
+        parts: tuple[Any, ...] | Callable[[], tuple[Any, ...]],
         shape: Shape,
         frac: int,
         bound: Bound,
@@ -79,20 +81,40 @@ class Value(Secret):
         plain: IntArray | None = None,
         mask_bits: int = 127,
         span: int = 0,
+        sign_of: Value | None = None,
     ) -> None:
         if bound.entry > P // 2:
             raise ValueError(
                 f"this program can produce numbers of {bound.entry.bit_length()} bits, which do not fit the "
                 "field of 127 bits: use fewer products, truncate between them, or allow a smaller max_norm"
             )
-        self.engine, self.parts, self.shape = engine, parts, shape
+        self.engine, self._parts, self.shape = engine, parts, shape
         self.frac, self.bound = frac, bound
         self.masked, self.is_bit, self.plain = masked, is_bit, plain
-        self.mask_bits, self.span = mask_bits, span
+        self.mask_bits, self.span, self.sign_of = mask_bits, span, sign_of
 
     def __repr__(self) -> str:
         kind = "masked" if self.masked else "shared"
         return f"<{kind} value of shape {self.shape} with {self.frac} fractional bits>"
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """What the reading holds of the value (see the module's table)."""
+        if callable(self._parts):
+            self._parts = self._parts()
+        return self._parts
+
+    @property
+    def undecided(self) -> bool:
+        """Whether this is a comparison that nothing has used yet, so that nothing is dealt for it yet.
+
+        Only opening it tells how it is dealt best (:mod:`spdz.gates.signs`); any other use decides it.
+        """
+        return callable(self._parts)
+
+    def decide(self) -> None:
+        """Have an undecided comparison dealt and evaluated: all readings do so at the same place."""
+        _ = self.parts
 
     @property
     def ndim(self) -> int:
