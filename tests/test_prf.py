@@ -1,6 +1,7 @@
 """The ratchet, the stream and the fixed-key hash."""
 
 import hashlib
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -90,3 +91,44 @@ def test_hashes_of_two_objects_agree():
     prf.FixedKeyHash().hash_into(blocks, first)
     prf.FixedKeyHash().hash_into(blocks, second)
     np.testing.assert_array_equal(first, second)
+
+
+def circular_model(key: bytes, low: int, high: int) -> tuple[int, int]:
+    """AES_k(sigma(x)) ^ sigma(x) on integers."""
+    sigma = (high.to_bytes(8, "little")) + (high ^ low).to_bytes(8, "little")
+    aes_key = hashlib.sha256(b"spdz prf v1: circular AES key\0" + key).digest()[:16]
+    hashed = int.from_bytes(aes(aes_key, sigma), "little") ^ int.from_bytes(sigma, "little")
+    return hashed % (1 << 64), hashed >> 64
+
+
+@pytest.mark.parametrize("start", [0, 3, 4, 8])
+@pytest.mark.parametrize("in_place", [False, True])
+def test_circular_hash_of_some_blocks_of_several_batches(start, in_place):
+    cuts = [0, 1, 4, 9, 10]
+    batches = [(slice(i, j), bytes([i] * 16)) for i, j in pairwise(cuts)]
+    keys = [key for keys, key in batches for _ in range(keys.start, keys.stop)]
+    blocks = prf.expand(CHAIN, 16 * 10)
+    expected = [circular_model(key, *block) for key, block in zip(keys, blocks.tolist(), strict=True)]
+    inp = np.array(blocks[start:].T, order="C")
+    out = inp if in_place else np.empty_like(inp)
+    run = prf.CircularHash(10, batches).bind(start, inp, out)
+    run()
+    assert [tuple(block) for block in out.T.tolist()] == expected[start:]
+    if not in_place:
+        inp ^= np.uint64(5)
+        before = out.copy()
+        run()
+        assert (before != out).any(axis=0).all()  # it reads what is there when it is called
+
+
+@pytest.mark.parametrize(
+    "cuts", [[(0, 4)], [(0, 6)], [(0, 3), (4, 5)], [(0, 3), (2, 5)], [(1, 5)], [(0, 0), (0, 5)], []]
+)
+def test_batches_that_do_not_cover_the_blocks_are_refused(cuts):
+    with pytest.raises(ValueError, match="batch"):
+        prf.CircularHash(5, [(slice(*cut), bytes(16)) for cut in cuts])
+
+
+def test_batch_keys_of_other_lengths_are_refused():
+    with pytest.raises(ValueError, match="16 bytes"):
+        prf.CircularHash(5, [(slice(0, 5), bytes(32))])
