@@ -56,6 +56,7 @@ class DealtJob(Recipe):
 
     def shared(self, x: Value) -> Value:
         """A shared value has no mask."""
+        x.decide()
         return Value(self, (), x.shape, x.frac, x.bound, is_bit=x.is_bit)
 
     def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:

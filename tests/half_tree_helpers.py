@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spdz.prf import Batches
-from spdz.types import Block
+from spdz.arithmetic.prf import Batches
+from spdz.foundations.types import Block
 
 
 def words(numbers: Sequence[int]) -> Block:

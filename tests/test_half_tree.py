@@ -11,11 +11,11 @@ import pytest
 from cryptography.hazmat.primitives.ciphers import Cipher, CipherContext, algorithms, modes
 from half_tree_helpers import Pads, cut, integers, words
 
-from spdz import prf
+from spdz.arithmetic import prf
+from spdz.arithmetic.prf import Batches
 from spdz.dcf import half_tree
 from spdz.dcf.half_tree import deal_tree, evaluate_tree
-from spdz.prf import Batches
-from spdz.types import Block
+from spdz.foundations.types import Block
 
 KEY = bytes(range(16))
 EDGES = [0, 1, 2, (1 << 63) - 1, 1 << 63, (1 << 64) - 1, 1 << 64, (1 << 64) + 1, (1 << 126) - 1, 1 << 126]

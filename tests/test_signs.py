@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from half_tree_helpers import Pads, cut, words
 
+from spdz.arithmetic.field import P
 from spdz.dcf.signs import (
     INTERVAL_BLOCKS,
     deal_interval,
@@ -17,8 +18,7 @@ from spdz.dcf.signs import (
     sign_levels,
     stored_blocks,
 )
-from spdz.field import P
-from spdz.types import Block
+from spdz.foundations.types import Block
 
 
 def sign_shares(pads: Pads, rho: list[int], c: list[int], bits: int, drop: int) -> list[Block]:

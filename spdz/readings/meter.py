@@ -9,9 +9,8 @@ out of the recipe, and are in the text.
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -27,6 +26,7 @@ from spdz.foundations.types import Block, FieldArray, Security, Shape, check_sec
 from spdz.readings.program import Program, declare, run
 from spdz.readings.stock import Stock
 from spdz.readings.streams import per_record
+from spdz.readings.symbols import Symbol, SymbolRing, digest, public_numbers, symbol_of
 from spdz.rounds.coroutine import Check, Request, exchange, run_silently
 from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.values import input_mask
@@ -60,74 +60,6 @@ class Plan:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Symbol:
-    """A value's identity: how it is computed, without and with the public constants."""
-
-    recipe: bytes
-    text: bytes
-
-
-def _digest(*items: object) -> bytes:
-    """Hash a sequence of byte strings, numbers and names, unambiguously."""
-    encoded = (item if isinstance(item, bytes) else repr(item).encode() for item in items)
-    return hashlib.sha256(b"".join(len(item).to_bytes(8, "little") + item for item in encoded)).digest()
-
-
-def _symbol(*items: object) -> Symbol:
-    """The symbol of an expression whose operands may be symbols."""
-    recipe, text = (
-        _digest(*(getattr(item, side) if isinstance(item, Symbol) else item for item in items))
-        for side in ("recipe", "text")
-    )
-    return Symbol(recipe, text)
-
-
-def _public(raw: Raw) -> tuple[Shape, bytes]:
-    array = np.asarray(raw, dtype=object)
-    return array.shape, _digest(*(int(entry) for entry in array.flat))
-
-
-class SymbolRing:
-    """Linear maps on symbols."""
-
-    def add(self, a: Symbol, b: Symbol) -> Symbol:
-        """Sum."""
-        return _symbol("add", a, b)
-
-    def sub(self, a: Symbol, b: Symbol) -> Symbol:
-        """Difference."""
-        return _symbol("sub", a, b)
-
-    def neg(self, a: Symbol) -> Symbol:
-        """Negation."""
-        return _symbol("neg", a)
-
-    def scale(self, a: Symbol, factor: Raw) -> Symbol:
-        """Product with public numbers, which the dealer must know."""
-        return _symbol("scale", a, *_public(factor))
-
-    def sum(self, a: Symbol, axis: int) -> Symbol:
-        """Sum over an axis."""
-        return _symbol("sum", a, axis)
-
-    def index(self, a: Symbol, key: tuple[Any, ...]) -> Symbol:
-        """Indexing."""
-        return _symbol("index", a, key)
-
-    def reshape(self, a: Symbol, shape: Shape) -> Symbol:
-        """Another shape."""
-        return _symbol("reshape", a, shape)
-
-    def broadcast(self, a: Symbol, shape: Shape) -> Symbol:
-        """A larger shape."""
-        return _symbol("broadcast", a, shape)
-
-    def concatenate(self, parts: Sequence[Symbol], shapes: Sequence[Shape]) -> Symbol:
-        """End to end."""
-        return _symbol("concatenate", *parts, *shapes)
-
-
 class Meter(Recipe):
     """The dealer's reading without data."""
 
@@ -159,7 +91,7 @@ class Meter(Recipe):
     def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """Only the text sees a public constant."""
         (symbol,) = x.parts
-        return (Symbol(symbol.recipe, _digest("plus", symbol.text, *_public(raw))),)
+        return (Symbol(symbol.recipe, digest("plus", symbol.text, *public_numbers(raw))),)
 
     def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
         """The same symbol: what it stands for is the same number."""
@@ -301,7 +233,7 @@ class Meter(Recipe):
 
     def _note(self, *items: object) -> Symbol:
         """Add a draw or a result to the trace, whose order is the drawing order."""
-        symbol = _symbol(*items)
+        symbol = symbol_of(*items)
         self.trace.append(symbol)
         return symbol
 
@@ -338,8 +270,8 @@ def measure(program: Program, shapes: tuple[Shape, Shape], security: Security) -
         rounds=meter.rounds,
         elements_sent=(meter.elements_sent[0], meter.elements_sent[1]),
         correlations=meter.correlations,
-        recipe=_digest("recipe", kind, *(symbol.recipe for symbol in meter.trace)).hex(),
-        text=_digest("text", kind, *(symbol.text for symbol in meter.trace)).hex(),
+        recipe=digest("recipe", kind, *(symbol.recipe for symbol in meter.trace)).hex(),
+        text=digest("text", kind, *(symbol.text for symbol in meter.trace)).hex(),
     )
 
 
