@@ -108,11 +108,12 @@ class DealtJob(Recipe):
         *,
         of: tuple[Value, ...] = (),
         count: tuple[str, int] | None = None,
+        stored_by: int = 1,
     ) -> None:
-        """Party 0's share is its pad; party 1 stores the rest."""
+        """One party's share is its pad; ``stored_by`` stores the rest."""
         value = np.broadcast_to(make(), (*shape, 2))
-        self._write(1, field.sub(value, self._pads[0].pad(shape)))
-        self._deal_mac(value, stored_by=0)
+        self._write(stored_by, field.sub(value, self._pads[1 - stored_by].pad(shape)))
+        self._deal_mac(value, stored_by=1 - stored_by)
 
     def triple(
         self,

@@ -22,8 +22,11 @@ import numpy as np
 from spdz.arithmetic import field, inner_product
 from spdz.arithmetic.bound import Bound
 from spdz.foundations.types import BigIntArray, FieldArray, Shape
+from spdz.gates.outer import dealt_products, product_shares, standing_pairs
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe, Share
+from spdz.values.outer import OuterMac
 from spdz.values.refusals import expect_secret
+from spdz.values.standing import Standing
 from spdz.values.value import Value
 
 
@@ -139,21 +142,31 @@ class Product(Gate):
         shape = self.by.shape(x.shape, y.shape)
         return shape, x.frac + y.frac, self.by.bound(x.bound, y.bound, shape)
 
+    def _pairs(self, x: Value, y: Value) -> tuple[Standing, Standing] | None:
+        return standing_pairs(x, y) if self.by is DOT else None
+
     def deal(self, recipe: Recipe, x: Value, y: Value) -> Value:
-        """Deal [[r_x r_y]]."""
+        """Deal [[r_x r_y]]; of standing vectors party 0 stores it, as party 1 stores more of what follows."""
         shape, frac, bound = self._result(x, y)
-        recipe.authenticated(
-            shape,
-            lambda: self.by.product(x.parts[0], y.parts[0]),
-            of=(x, y),
-            count=(self.by.kind, prod(shape)),
-        )
+        pairs = self._pairs(x, y)
+
+        def make() -> FieldArray:
+            return dealt_products(*pairs) if pairs else self.by.product(x.parts[0], y.parts[0])
+
+        count = (self.by.kind, prod(shape))
+        recipe.authenticated(shape, make, of=(x, y), count=count, stored_by=0 if pairs else 1)
         return recipe.shared_value(self.by.kind, (x, y), shape, frac, bound)
 
     def evaluate(self, party: Evaluation, x: Value, y: Value) -> Value:
         """One local contraction a term."""
         shape, frac, bound = self._result(x, y)
-        correction = party.authenticated(shape, count=(self.by.kind, prod(shape)))
+        count, pairs = (self.by.kind, prod(shape)), self._pairs(x, y)
+        correction = party.authenticated(shape, count=count, stored_by=0 if pairs else 1)
+        if pairs:
+            shares = field.add(correction[0], product_shares(party.index, *pairs))
+            if correction[1] is None or party.alpha is None:
+                return Value(party, (shares,), shape, frac, bound)
+            return Value(party, (shares, OuterMac(*pairs, party.alpha, 1, correction[1])), shape, frac, bound)
         value, mac = masked_product(party, self.by, x, y, correction)
         return Value(party, (value, mac) if party.malicious else (value,), shape, frac, bound)
 

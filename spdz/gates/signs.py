@@ -17,8 +17,6 @@ checked before step 2 (:mod:`spdz.gates.output` sees to it): a wrong c makes the
 
 from __future__ import annotations
 
-from math import prod
-
 from spdz.dcf import signs
 from spdz.foundations.types import Block
 from spdz.gates.masking import dealt_integer_mask, in_place
@@ -30,8 +28,8 @@ KIND = "opened sign"
 
 
 def straight(z: Value) -> Value | None:
-    """The masked value of which z is the sign, if nothing but the output uses that, by half-trees."""
-    return z.sign_of if z.undecided and prod(z.shape) >= z.engine.half_tree_from else None
+    """The masked value of which z is the sign, if nothing but the output uses that."""
+    return z.sign_of if z.undecided else None
 
 
 def deal(recipe: Recipe, z: Value) -> None:

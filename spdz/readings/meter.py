@@ -70,7 +70,7 @@ class Meter(Recipe):
         self.ring = SymbolRing()
         self.pad_bytes, self.correction_bytes = [0, 0], [0, 0]
         self.elements_sent = [0, 0]
-        self.rounds = 0
+        self.rounds = self.openings = 0
         self.correlations: Counter[str] = Counter()
         self.trace: list[Symbol] = []
         self._unchecked = False
@@ -142,15 +142,16 @@ class Meter(Recipe):
         *,
         of: tuple[Value, ...] = (),
         count: tuple[str, int] | None = None,
+        stored_by: int = 1,
     ) -> None:
         """One pad element at either party, and one stored where MACs are."""
-        self._note("dealt", shape, count, *(operand.parts[0] for operand in of))
+        self._note("dealt", shape, count, stored_by, *(operand.parts[0] for operand in of))
         size = self._size(shape)
-        self._draw(0, pad=size)
-        self._draw(1, correction=size)
+        self._draw(1 - stored_by, pad=size)
+        self._draw(stored_by, correction=size)
         if self.malicious:
-            self._draw(1, pad=size)
-            self._draw(0, correction=size)
+            self._draw(stored_by, pad=size)
+            self._draw(1 - stored_by, correction=size)
         if count is not None:
             self.correlations[count[0]] += count[1]
 
@@ -224,6 +225,7 @@ class Meter(Recipe):
 
     async def opening(self, elements: int) -> None:
         """Count one round whose openings wait for a check."""
+        self.openings += 1
         self._unchecked = self.malicious
         await self.round((elements, elements))
 

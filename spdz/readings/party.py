@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from spdz.arithmetic import field
 from spdz.arithmetic.public import Raw
-from spdz.arithmetic.rings import FieldRing, elements
+from spdz.arithmetic.rings import elements
 from spdz.dcf import Keys
 from spdz.foundations.errors import ProtocolViolation
 from spdz.foundations.stats import Stats
@@ -32,10 +32,11 @@ from spdz.rounds.mac_check import MacCheck
 from spdz.rounds.wire import exchange_elements
 from spdz.values import input_mask
 from spdz.values.engine import Evaluation, Gate, Input, Share, Triple
+from spdz.values.outer import OuterRing
 from spdz.values.trees import TreeKey, of_party
 from spdz.values.value import Value
 
-_RING = FieldRing()
+_RING = OuterRing()
 
 
 class Party(Evaluation):
@@ -107,7 +108,7 @@ class Party(Evaluation):
         elif value is None:
             value = np.zeros_like(public)
         if macs and self.alpha is not None:
-            macs = [field.add(macs[0], field.scale(public, self.alpha))]
+            macs = [self.ring.add(macs[0], field.scale(public, self.alpha))]
         return Value(self, (value, *macs), x.shape, x.frac, x.bound, is_bit=x.is_bit)
 
     # -- what was dealt ------------------------------------------------------------------------------
@@ -122,12 +123,15 @@ class Party(Evaluation):
             mask = input_mask.from_pad(pad, self.input_mask_bits(source))
         return mask, self._mac(source.shape, stored=own)
 
-    def authenticated(self, shape: Shape, *, count: tuple[str, int] | None = None) -> Share:
+    def authenticated(
+        self, shape: Shape, *, count: tuple[str, int] | None = None, stored_by: int = 1
+    ) -> Share:
         """This party's shares of the next dealt value."""
         if count is not None:
             self._stats.book(*count)
-        value = self._stream.pad(shape) if self.index == 0 else self._stream.correction(shape)
-        return value, self._mac(shape, stored=self.index == 0)
+        stored = self.index == stored_by
+        value = self._stream.correction(shape) if stored else self._stream.pad(shape)
+        return value, self._mac(shape, stored=not stored)
 
     def triple(self, kind: str, shape: Shape, product_shape: Shape) -> Triple:
         """This party's shares of the next Beaver triple."""

@@ -103,7 +103,9 @@ class StockedParty(Party):
         self._stats.book(kind, count)
         return _dealt(a), _dealt(b), _dealt(c)
 
-    def authenticated(self, shape: Shape, *, count: tuple[str, int] | None = None) -> Share:
+    def authenticated(
+        self, shape: Shape, *, count: tuple[str, int] | None = None, stored_by: int = 1
+    ) -> Share:
         """A stock has nothing that depends on a program."""
         raise TapeMismatch(
             f"a stock serves Beaver products only, not a {count[0] if count else 'gate'}: use beaver_dot "

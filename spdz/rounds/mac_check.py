@@ -23,14 +23,28 @@ from __future__ import annotations
 import hashlib
 import hmac
 from collections.abc import Generator, Iterable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
+from typing import Protocol as Interface
+
+import numpy as np
 
 from spdz.arithmetic import field
+from spdz.arithmetic.weighted import bilinear
 from spdz.foundations.errors import MacCheckFailed
 from spdz.foundations.types import Block, Buffer, FieldArray
 from spdz.rounds.coroutine import Check, Exchange, Protocol
 
 T = TypeVar("T")
+
+
+class Collapsed(Interface):
+    """MAC shares of an array (R, C) of openings that are cheaper to weigh than to write out."""
+
+    def weighed(self, u: FieldArray, v: FieldArray) -> int:
+        """sum_jk u_j v_k m_jk mod p, for weights of shape (R,) and (C,)."""
+
+
+ELEMENT_BYTES = 16
 DIGEST_BYTES = 16
 """A hash is cut to 128 bits: as hard to guess as alpha, and nobody gains by a collision of its own making."""
 
@@ -42,7 +56,8 @@ class MacCheck:
         """Args: this party's share of the MAC key, its number, and the session id."""
         self._alpha, self._party = alpha, party
         self._prefix = b"spdz mac-check" + hashlib.sha256(session).digest()
-        self._opened: list[tuple[FieldArray, FieldArray] | Block] = []
+        self._opened: list[tuple[FieldArray, FieldArray | Collapsed] | Block] = []
+        self._same: bytes | None = None
         self._transcript = hashlib.sha256(b"spdz transcript")
         self._checks = 0
         self._failed = False
@@ -55,13 +70,15 @@ class MacCheck:
         """Whether anything opened is unchecked."""
         return bool(self._opened)
 
-    def record(self, opened: FieldArray, mac: FieldArray) -> None:
+    def record(self, opened: FieldArray, mac: FieldArray | Collapsed) -> None:
         """Remember an opened array and this party's MAC shares of it."""
         self._opened.append((opened, mac))
+        self._same = None
 
     def record_bits(self, sigma: Block) -> None:
         """Remember what must be the same blocks at both parties if the bits opened are right."""
         self._opened.append(sigma)
+        self._same = None
 
     def absorb(self, sent: Sequence[Buffer], received: Buffer) -> None:
         """Add one round to the transcript, party 0's message first."""
@@ -88,22 +105,49 @@ class MacCheck:
             )
         self._checks += 1
         self._opened.clear()
+        self._same = None
 
     def _hash(self, party: int) -> bytes:
+        if self._same is None:
+            self._same = self._same_at_both()
+        digest = self._digest()
+        digest.update(party.to_bytes(1, "little"))
+        digest.update(self._same)
+        message: bytes = digest.digest()[:DIGEST_BYTES]
+        return message
+
+    def _digest(self) -> Any:
         digest = hashlib.sha256(self._prefix)
         digest.update(self._checks.to_bytes(8, "little"))
         digest.update(self._transcript.digest())
-        digest.update(party.to_bytes(1, "little"))
-        for entry in self._opened:
-            if isinstance(entry, tuple):
-                opened, mac = entry
+        return digest
+
+    def _same_at_both(self) -> bytes:
+        """Step 1: a digest of k_i, every opening with its kind and size."""
+        digest = hashlib.sha256()
+        for index, entry in enumerate(self._opened):
+            if not isinstance(entry, tuple):
+                kind, count, same = b"bits", len(entry), entry.tobytes()
+            elif isinstance(entry[1], np.ndarray):
+                opened, mac = entry[0], entry[1]
                 sigma = field.sub(mac, field.scale(opened, self._alpha))
-                kind, same = b"element", sigma if self._party == 0 else field.neg(sigma)
+                kind, count = b"elements", opened.size // 2
+                same = (sigma if self._party == 0 else field.neg(sigma)).tobytes()
             else:
-                kind, same = b"bits", entry
-            digest.update(kind + (same.size // 2).to_bytes(8, "little"))
-            digest.update(same.tobytes())
-        return digest.digest()[:DIGEST_BYTES]
+                kind, count = b"collapsed", entry[0].size // 2
+                same = self._collapsed(index, entry[0], entry[1]).to_bytes(16, "little")
+            digest.update(kind + count.to_bytes(8, "little") + same)
+        return digest.digest()
+
+    def _collapsed(self, index: int, opened: FieldArray, mac: Collapsed) -> int:
+        """sum_jk u_j v_k sigma_jk, signed as sigma is; the weights are known only now."""
+        rows, columns = opened.shape[:2]
+        seed = b"spdz collapse" + self._digest().digest() + index.to_bytes(8, "little")
+        stream = hashlib.shake_256(seed).digest(ELEMENT_BYTES * (rows + columns))
+        weights = field.from_blocks(np.frombuffer(stream, dtype="<u8").reshape(-1, 2))
+        u, v = weights[:rows], weights[rows:]
+        total = (mac.weighed(u, v) - self._alpha * bilinear(u, opened, v)) % field.P
+        return total if self._party == 0 else -total % field.P
 
 
 def drive(protocol: Protocol[T], mac_check: MacCheck | None) -> Generator[Exchange, memoryview, T]:

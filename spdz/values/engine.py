@@ -55,8 +55,8 @@ class Engine(ABC):
     security: Security
     resolution: int | None = None
     """Fractional bits that a comparison which goes straight to the output looks at; None: all of them."""
-    half_tree_from: int = 64
-    """Entries from which such a comparison is made by half-trees (:mod:`spdz.gates.signs`); measured."""
+    slot_bits: int | None = None
+    """Bits of a word where inputs stand in a gallery; None: as an input's shape and norm ask."""
 
     @property
     def malicious(self) -> bool:
@@ -65,7 +65,7 @@ class Engine(ABC):
 
     def input_mask_bits(self, source: Input) -> int:
         """How long the mask of an input is (:mod:`spdz.values.input_mask`)."""
-        return input_mask.word_bits(source.shape, source.norm)
+        return self.slot_bits or input_mask.word_bits(source.shape, source.norm)
 
     def read(self, gate: Gate, *operands: Any) -> Any:
         """Read a gate in this engine's way (a coroutine for interactive gates)."""
@@ -134,8 +134,17 @@ class Recipe(Engine):
         *,
         of: tuple[Value, ...] = (),
         count: tuple[str, int] | None = None,
+        stored_by: int = 1,
     ) -> None:
-        """Deal [[v]] for ``v = make()``, a function of operands ``of``; ``count`` books correlations."""
+        """Deal [[v]] for ``v = make()``, a function of operands ``of``.
+
+        Args:
+            shape: Of v.
+            make: Computes v, from the masks of ``of``.
+            of: Operands.
+            count: Books correlations.
+            stored_by: Which party stores its share of v; the other's is a pad.
+        """
 
     @abstractmethod
     def triple(
@@ -208,7 +217,9 @@ class Evaluation(Engine):
     alpha: int | None
 
     @abstractmethod
-    def authenticated(self, shape: Shape, *, count: tuple[str, int] | None = None) -> Share:
+    def authenticated(
+        self, shape: Shape, *, count: tuple[str, int] | None = None, stored_by: int = 1
+    ) -> Share:
         """Draw this party's (value, MAC) shares of a dealt value; MAC is None in semi-honest mode."""
 
     @abstractmethod

@@ -32,6 +32,7 @@ from spdz.arithmetic.fixed_point import FRACTION_BITS
 from spdz.arithmetic.public import Raw, fraction_bits, integers, is_whole, magnitude, rounded
 from spdz.foundations.types import IntArray, Shape
 from spdz.values.refusals import Secret, expect_secret, refuse_slips
+from spdz.values.standing import Standing
 
 if TYPE_CHECKING:
     from spdz.values.engine import Engine
@@ -51,6 +52,7 @@ class Value(Secret):
         plain: The owner's own raw input, where this value is one (int64); else None.
         mask_bits: Bits of the mask's randomness (127 for a fresh one; truncation takes some away).
         sign_of: Of a comparison with 0, the masked value that is compared.
+        standing: The vectors, where this value is nothing but standing inputs.
         span: Of a value whose mask is a small integer, the largest magnitude of that mask; else 0.
     """
 
@@ -66,6 +68,7 @@ class Value(Secret):
         "shape",
         "sign_of",
         "span",
+        "standing",
     )
 
     def __init__(
@@ -82,6 +85,7 @@ class Value(Secret):
         mask_bits: int = 127,
         span: int = 0,
         sign_of: Value | None = None,
+        standing: Standing | None = None,
     ) -> None:
         if bound.entry > P // 2:
             raise ValueError(
@@ -92,6 +96,7 @@ class Value(Secret):
         self.frac, self.bound = frac, bound
         self.masked, self.is_bit, self.plain = masked, is_bit, plain
         self.mask_bits, self.span, self.sign_of = mask_bits, span, sign_of
+        self.standing = standing
 
     def __repr__(self) -> str:
         kind = "masked" if self.masked else "shared"
@@ -110,11 +115,12 @@ class Value(Secret):
 
         Only opening it tells how it is dealt best (:mod:`spdz.gates.signs`); any other use decides it.
         """
-        return callable(self._parts)
+        return self.sign_of is not None and callable(self._parts)
 
     def decide(self) -> None:
         """Have an undecided comparison dealt and evaluated: all readings do so at the same place."""
-        _ = self.parts
+        if self.undecided:
+            _ = self.parts
 
     @property
     def ndim(self) -> int:
