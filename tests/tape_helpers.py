@@ -48,6 +48,6 @@ def deal(path: Path, **changes: object) -> Path:
 
 def skip_sync(monkeypatch: pytest.MonkeyPatch) -> None:
     """Syncing only takes time where no crash is simulated."""
-    for module in ("durable", "state", "writer"):
+    for module in ("durable", "state", "publishing"):
         monkeypatch.setattr(f"spdz.tape.{module}.sync", lambda descriptor: None)
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)

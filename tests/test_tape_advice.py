@@ -127,7 +127,7 @@ def test_a_tape_that_cannot_be_written_is_said_to_have_to_be_writable(path, stat
     def refused(*arguments):
         raise OSError(number, os.strerror(number), str(path))
 
-    monkeypatch.setattr("spdz.tape.tape.FileIO", refused)
+    monkeypatch.setattr("spdz.tape.hold.FileIO", refused)
     with pytest.raises(TapeError, match="must be writable, because every use is recorded"):
         Tape.open(path, state_dir=state)
 

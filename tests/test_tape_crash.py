@@ -12,7 +12,7 @@ from tape_helpers import ALPHA, CHAIN, chains, deal
 from spdz.arithmetic import prf
 from spdz.foundations.errors import TapeDestroyed, TapeError
 from spdz.tape import Tape
-from spdz.tape.format import SECTOR
+from spdz.tape.envelope import SECTOR
 from spdz.tape.state import State, StateSlots, encode_slot
 
 FATES = ("kept", "lost", "torn", "reordered")

@@ -8,7 +8,7 @@ from tape_helpers import ALPHA, HEADER, chains, corrections, deal, skip_sync
 from spdz.arithmetic import prf
 from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.tape import Tape, TapeHeader
-from spdz.tape.format import SECTOR
+from spdz.tape.envelope import SECTOR
 
 
 @pytest.fixture(autouse=True)

@@ -2,9 +2,7 @@
 
 ::
 
-    0           magic, format version, length of the header     PREFIX
-    16          header, JSON                                    at most MAX_HEADER bytes
-                blake2b-16 of all the above                     the header's digest; then zeros to a sector
+    0           kind, header and digest                         spdz.tape.envelope
     slots       two state slots, a sector each                  spdz.tape.state
     corrections jobs x correction_bytes                         each padded to a multiple of 16
     checksums   jobs x ceil(correction_bytes / CHUNK) x CRC-32  one a chunk
@@ -17,39 +15,20 @@ catches. They are bound to the tape and to their place, so that a block that lan
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
-import re
-import shlex
-import stat
-import struct
 import zlib
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
 
-from spdz.foundations.errors import TapeDamaged
-from spdz.foundations.types import Json, Security
-from spdz.tape.advice import cannot_open, replacement
+from spdz.tape.envelope import DIGEST, JOBS, SECTOR, check_size, encode_envelope, read_envelope, round_up
+from spdz.tape.header import Header, check_integer
 
-MAGIC = b"spdztape"
-VERSION = 1
-PREFIX = struct.Struct("<8sII")
-DIGEST = 16
-SECTOR = 4096
 CHUNK = 1 << 20
-MAX_HEADER = 1 << 16
 MAX_JOBS = 1 << 32
 MAX_JOB_BYTES = 1 << 40
 
-_EXAMPLE = "Give a file that the dealer wrote, such as mission/alice/bob.tape"
-_HEX = re.compile(r"[0-9a-f]{1,128}")
-
 
 @dataclass(frozen=True, slots=True)
-class TapeHeader:
+class TapeHeader(Header):
     """What a tape is for: public, unchanging, and checked against the peer's in the handshake.
 
     Attributes:
@@ -68,66 +47,20 @@ class TapeHeader:
         ValueError: A field is out of range or of the wrong type.
     """
 
-    mission: str
-    tape: str
-    agents: tuple[str, str]
-    party: int
-    security: Security
-    fingerprint: str
-    program: Mapping[str, Json]
     jobs: int
     pad_bytes: int
     correction_bytes: int
 
     def __post_init__(self) -> None:
-        for name in ("mission", "tape", "fingerprint"):
-            value = getattr(self, name)
-            if not isinstance(value, str) or not _HEX.fullmatch(value):
-                raise ValueError(f"{name} must be 1 to 128 lower-case hexadecimal digits, not {value!r}")
-        for name, least, most in (
-            ("party", 0, 1),
-            ("jobs", 1, MAX_JOBS),
-            ("pad_bytes", 0, MAX_JOB_BYTES),
-            ("correction_bytes", 0, MAX_JOB_BYTES),
-        ):
-            value = getattr(self, name)
-            if type(value) is not int or not least <= value <= most:
-                raise ValueError(f"{name} must be an integer from {least} to {most}, not {value!r}")
-        if self.security not in get_args(Security):
-            raise ValueError(f"security must be one of {get_args(Security)}, not {self.security!r}")
-        agents = tuple(self.agents)
-        if len(agents) != 2 or agents[0] == agents[1]:
-            raise ValueError(f"agents must be two different names, not {self.agents!r}")
-        if not all(isinstance(name, str) and name and name.isprintable() for name in agents):
-            raise ValueError(f"agents must be printable names, not {self.agents!r}")
-        try:
-            program = json.loads(json.dumps(self.program, allow_nan=False))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"program must be JSON: {error}") from error
-        if not isinstance(program, dict):
-            raise ValueError(f"program must be a JSON object, not {self.program!r}")
-        object.__setattr__(self, "agents", agents)
-        object.__setattr__(self, "program", program)  # as it will be read back: tuples are lists
-
-    @property
-    def name(self) -> str:
-        """The robot whose tape this is."""
-        return self.agents[self.party]
-
-    @property
-    def peer(self) -> str:
-        """The robot that has the other tape."""
-        return self.agents[1 - self.party]
+        Header.__post_init__(self)  # super() finds no class made with slots=True
+        check_integer("jobs", self.jobs, 1, MAX_JOBS)
+        check_integer("pad_bytes", self.pad_bytes, 0, MAX_JOB_BYTES)
+        check_integer("correction_bytes", self.correction_bytes, 0, MAX_JOB_BYTES)
 
     @property
     def dealer_command(self) -> str:
         """The command that deals more of the same."""
-        words = [f"--agents {shlex.join(self.agents)}"]
-        for key, value in self.program.items():
-            if key in ("score", "dim", "reveal", "tile", "max_norm"):
-                text = "x".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-                words.append(f"--{key.replace('_', '-')} {shlex.quote(text)}")
-        return f"python -m spdz.dealer {' '.join(words)} --security {self.security} --count N --out FOLDER"
+        return f"{self.dealing('score', 'dim', 'reveal', 'tile', 'max_norm')} --count N --out FOLDER"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,9 +88,9 @@ class Layout:
     @classmethod
     def of(cls, header: TapeHeader, encoded: bytes) -> Layout:
         """Lay out a tape whose header, digest included, is ``encoded``."""
-        slots = _round_up(len(encoded), SECTOR)
+        slots = round_up(len(encoded), SECTOR)
         corrections = slots + 2 * SECTOR
-        stride = _round_up(header.correction_bytes, 16)
+        stride = round_up(header.correction_bytes, 16)
         checksums = corrections + header.jobs * stride
         chunks = -(-header.correction_bytes // CHUNK)
         end = checksums + 4 * header.jobs * chunks
@@ -174,60 +107,17 @@ def encode_header(header: TapeHeader) -> bytes:
     Raises:
         ValueError: The header is longer than MAX_HEADER.
     """
-    body = json.dumps(asdict(header), sort_keys=True, separators=(",", ":")).encode()
-    if len(body) > MAX_HEADER:
-        raise ValueError(f"the tape's header takes {len(body)} bytes; at most {MAX_HEADER} are allowed")
-    data = PREFIX.pack(MAGIC, VERSION, len(body)) + body
-    return data + _digest(data)
+    return encode_envelope(JOBS, header)
 
 
 def read_header(descriptor: int, path: Path) -> tuple[TapeHeader, Layout]:
     """Read and verify the header, and the file's size against it.
 
     Raises:
+        TapeMismatch: A tape of another kind.
         TapeDamaged: Not a tape, another format version, a wrong digest, or the wrong size.
     """
-    kind, size = os.fstat(descriptor).st_mode, os.fstat(descriptor).st_size
-    if stat.S_ISDIR(kind):
-        raise cannot_open(path, IsADirectoryError(), writing=False)
-    if not stat.S_ISREG(kind):
-        raise TapeDamaged(f"{path}: not a tape: a pipe, a device or a socket. {_EXAMPLE}")
-    prefix = os.pread(descriptor, PREFIX.size, 0)
-    if len(prefix) < PREFIX.size or not prefix.startswith(MAGIC):
-        raise TapeDamaged(f"{path}: not a tape: it does not start with {MAGIC!r}. {_EXAMPLE}")
-    _, version, length = PREFIX.unpack(prefix)
-    if version != VERSION:
-        raise TapeDamaged(
-            f"{path}: tape format {version}, but this version of spdz reads format {VERSION}: use the "
-            "version that dealt it, or deal anew for both robots"
-        )
-    if length > MAX_HEADER:
-        raise TapeDamaged(
-            f"{path}: the header claims {length} bytes; at most {MAX_HEADER} are allowed. {replacement(None)}"
-        )
-    encoded = prefix + os.pread(descriptor, length + DIGEST, PREFIX.size)
-    if len(encoded) != PREFIX.size + length + DIGEST or _digest(encoded[:-DIGEST]) != encoded[-DIGEST:]:
-        raise TapeDamaged(
-            f"{path}: the checksum of the header (bytes 0 to {PREFIX.size + length}) does not hold. "
-            f"{replacement(None)}"
-        )
-    try:
-        fields: dict[str, Any] = json.loads(encoded[PREFIX.size : -DIGEST])
-        header = TapeHeader(**fields)
-    except (ValueError, TypeError, RecursionError) as error:
-        raise TapeDamaged(f"{path}: the header makes no sense: {error}. {replacement(None)}") from error
+    header, encoded = read_envelope(descriptor, path, JOBS, TapeHeader)
     layout = Layout.of(header, encoded)
-    if size != layout.end:
-        raise TapeDamaged(
-            f"{path}: {size} bytes long instead of {layout.end}: truncated or not copied whole. "
-            f"{replacement(None)}"
-        )
+    check_size(descriptor, path, layout.end)
     return header, layout
-
-
-def _digest(data: bytes) -> bytes:
-    return hashlib.blake2b(data, digest_size=DIGEST).digest()
-
-
-def _round_up(size: int, multiple: int) -> int:
-    return -(-size // multiple) * multiple

@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from spdz.tape.durable import sync, write_at
-from spdz.tape.format import DIGEST, SECTOR
+from spdz.tape.envelope import DIGEST, SECTOR
 
 _SLOT = struct.Struct("<QQ?7x32s16s")
 _ZEROS = bytes(SECTOR)

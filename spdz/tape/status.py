@@ -14,7 +14,8 @@ from pathlib import Path
 from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.tape.advice import cannot_open, replacement
 from spdz.tape.durable import is_locked
-from spdz.tape.format import SECTOR, Layout, TapeHeader, read_header
+from spdz.tape.envelope import SECTOR
+from spdz.tape.format import Layout, TapeHeader, read_header
 from spdz.tape.high_water import default_state_dir, mark_path, read_mark
 from spdz.tape.state import State, latest_slot
 
@@ -56,6 +57,7 @@ def tape_status(path: Path, state_dir: Path | None = None) -> TapeStatus:
         state_dir: Where its high-water mark is kept; the user's state folder if not given.
 
     Raises:
+        TapeMismatch: It is a tape of another kind.
         TapeDamaged: It is not a whole tape, or its mark is damaged.
         TapeError: It cannot be read.
     """

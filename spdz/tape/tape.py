@@ -19,28 +19,17 @@ Cost of one ``reserve``: the corrections are read and checked once, then four sy
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
-from io import FileIO
 from pathlib import Path
-from threading import Lock
 from types import TracebackType
 
 from spdz.arithmetic import prf
-from spdz.foundations.errors import (
-    TapeDamaged,
-    TapeDestroyed,
-    TapeError,
-    TapeExhausted,
-    TapeInUse,
-    TapeMismatch,
-)
-from spdz.tape.advice import cannot_open, replacement
+from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError, TapeExhausted, TapeMismatch
+from spdz.tape.advice import replacement
 from spdz.tape.corrections import read_corrections
-from spdz.tape.durable import try_lock, unlock
 from spdz.tape.format import Layout, TapeHeader, read_header
-from spdz.tape.high_water import HighWater, Mark, default_state_dir
+from spdz.tape.high_water import HighWater, Mark
+from spdz.tape.hold import Hold
 from spdz.tape.state import State, StateSlots
 
 
@@ -77,20 +66,15 @@ class Tape:
     each handshake makes them equal. It caps what one bad claim burns, and its cost at 65,536 ratchet steps
     (about 0.1 s). Give ``resume`` a larger one to rejoin a peer after losing the state of many sessions."""
 
-    def __init__(
-        self, path: Path, header: TapeHeader, layout: Layout, file: FileIO, slots: StateSlots, mark: HighWater
-    ) -> None:
+    def __init__(self, hold: Hold, header: TapeHeader, layout: Layout, mark: HighWater) -> None:
         self.header = header
         self.rolled_back = False
-        self._path = path
+        self._hold = hold
+        self._path = hold.path
         self._layout = layout
-        self._slots = slots
         self._mark = mark
-        self._file = file
+        self._slots = StateSlots(hold.file.fileno(), layout.slots, layout.digest)
         self._state: State | None = None
-        self._process = os.getpid()
-        self._lock = Lock()
-        self._resources = ExitStack()
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], *, state_dir: Path | None = None) -> Tape:
@@ -103,25 +87,21 @@ class Tape:
 
         Raises:
             TapeInUse: It, or a copy of it, is open already.
+            TapeMismatch: It is a tape of another kind.
             TapeDamaged: It is not a whole tape; the message says where. ``reserve`` checks corrections.
             TapeDestroyed: It was destroyed, or is a copy of a tape that was.
             TapeError: It, or its high-water mark, cannot be read or written.
         """
-        path = Path(path)
-        with ExitStack() as resources, _disk_errors(path):
-            try:
-                file = resources.enter_context(FileIO(path, "r+"))
-            except OSError as error:
-                raise cannot_open(path, error, writing=True) from error
-            if not try_lock(file.fileno()):
-                raise TapeInUse(f"{path}: the tape is open in another process")
-            header, layout = read_header(file.fileno(), path)
-            mark = HighWater(state_dir or default_state_dir(), header.tape, header.party)
-            resources.callback(mark.close)
-            slots = StateSlots(file.fileno(), layout.slots, layout.digest)
-            tape = cls(path, header, layout, file, slots, mark)
-            tape._recover()
-            tape._resources = resources.pop_all()
+        hold = Hold(Path(path))
+        try:
+            with hold.one_at_a_time():
+                header, layout = read_header(hold.file.fileno(), hold.path)
+                tape = cls(hold, header, layout, hold.lock_copies(header, state_dir))
+                tape._recover()
+        except BaseException:
+            with hold.closing():
+                pass
+            raise
         return tape
 
     @property
@@ -154,7 +134,7 @@ class Tape:
             TapeInUse: Called in a fork of the process that opened the tape.
             TapeError: The tape is closed, destroyed, or its state cannot be written.
         """
-        with self._one_at_a_time():
+        with self._hold.one_at_a_time():
             state = self._usable()
             claim = f"{self._path}: {self.header.peer} says that it is at job {peer_cursor!r}"
             if type(peer_cursor) is not int or not 0 <= peer_cursor <= self.header.jobs:
@@ -178,7 +158,7 @@ class Tape:
             TapeInUse: Called in a fork of the process that opened the tape.
             TapeError: The tape is closed, destroyed, or its state cannot be written.
         """
-        with self._one_at_a_time():
+        with self._hold.one_at_a_time():
             state = self._usable()
             if count < 0:
                 raise ValueError(f"cannot reserve {count} jobs")
@@ -192,7 +172,13 @@ class Tape:
             if count == 0:
                 return []
             corrections = read_corrections(
-                self._file, self._path, self.header, self._layout, state.cursor, count, used=state.cursor > 0
+                self._hold.file,
+                self._path,
+                self.header,
+                self._layout,
+                state.cursor,
+                count,
+                used=state.cursor > 0,
             )
             jobs: list[Job] = []
             for chain, correction in zip(self._advance(state.cursor + count), corrections, strict=True):
@@ -209,24 +195,16 @@ class Tape:
             TapeInUse: Called in a fork of the process that opened the tape.
             TapeError: The tape is closed, or the disk failed.
         """
-        with self._one_at_a_time():
-            if self._file.closed:
+        with self._hold.one_at_a_time():
+            if self._hold.file.closed:
                 raise TapeError(f"{self._path}: the tape is closed")
             if self._state is None or not self._state.destroyed:
                 self._destroy(0 if self._state is None else self._state.cursor)
 
     def close(self) -> None:
         """Unlock the tape. A second call does nothing; in a fork the lock stays the parent's."""
-        own = os.getpid() == self._process
-        with self._lock if own else nullcontext():
+        with self._hold.closing():
             self._state = None
-            if own and not self._file.closed:
-                # A fork that lives on holds the same open file: closing ours would not unlock it (flock(2)).
-                with suppress(OSError):  # closing unlocks as well, unless a fork lives on
-                    unlock(self._file.fileno())
-                with suppress(OSError):
-                    self._mark.unlock()
-            self._resources.close()
 
     def __repr__(self) -> str:
         return f"<tape of {self.header.name} for {self.header.peer}: {self.remaining} jobs left>"
@@ -245,15 +223,6 @@ class Tape:
         if self._state.destroyed:
             raise TapeDestroyed(f"{self._path}: the tape was destroyed. Deal a new pair of tapes")
         return self._state
-
-    @contextmanager
-    def _one_at_a_time(self) -> Iterator[None]:
-        if os.getpid() != self._process:  # before the lock: a fork may have copied it locked
-            raise TapeInUse(
-                f"{self._path}: the tape belongs to process {self._process}, which forked this one"
-            )
-        with self._lock, _disk_errors(self._path):
-            yield
 
     def _recover(self) -> None:
         """Bring slots and mark together, at whichever is further."""
@@ -304,13 +273,3 @@ class Tape:
         finally:
             self._slots.store(wiped)
         self._state = wiped
-
-
-@contextmanager
-def _disk_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise TapeError(
-            f"{path}: the disk failed ({error.strerror}). No job was handed out; open the tape again"
-        ) from error

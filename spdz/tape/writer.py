@@ -5,15 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
 
 from spdz.arithmetic import prf
-from spdz.foundations.types import Buffer
-from spdz.tape.durable import create_private, make_private_folder, partial_name, sync, sync_folder
-from spdz.tape.format import CHUNK, SECTOR, Layout, TapeHeader, encode_header
+from spdz.tape.envelope import SECTOR
+from spdz.tape.format import CHUNK, Layout, TapeHeader, encode_header
+from spdz.tape.publishing import NewFile
 from spdz.tape.state import State, encode_slot
-
-_BUFFER = 1 << 18
+from spdz.foundations.types import Buffer
 
 
 class TapeWriter:
@@ -43,10 +41,7 @@ class TapeWriter:
         self._layout = Layout.of(header, encoded)
         self._checksums = bytearray()
         self._appended = 0
-        self._refuse_to_overwrite()
-        make_private_folder(self._path.parent)
-        self._partial = partial_name(self._path)
-        self._file: BinaryIO | None = os.fdopen(create_private(self._partial), "wb", _BUFFER)
+        self._new: NewFile | None = NewFile(self._path)
         self._size = 0
         try:
             self._write(encoded.ljust(self._layout.slots, b"\0"))
@@ -69,7 +64,7 @@ class TapeWriter:
             OSError: The file cannot be written.
         """
         view = memoryview(correction)
-        if self._file is None:
+        if self._new is None:
             raise ValueError(f"{self._path}: the tape is closed")
         if self._appended == self._header.jobs:
             raise ValueError(f"{self._path}: all {self._header.jobs} jobs are written")
@@ -97,7 +92,7 @@ class TapeWriter:
             FileExistsError: Somebody else made a file of that name meanwhile.
             OSError: The file cannot be written.
         """
-        if self._file is None:
+        if self._new is None:
             return
         try:
             if self._appended != self._header.jobs:
@@ -105,21 +100,15 @@ class TapeWriter:
                     f"{self._path}: {self._appended} jobs were written instead of {self._header.jobs}"
                 )
             self._write(self._checksums)
-            self._file.flush()
-            sync(self._file.fileno())
-            self._publish()
+            self._new.publish()
         finally:
             self.discard()
-        sync_folder(self._path.parent)
 
     def discard(self) -> None:
         """Remove the unfinished file; a finished tape stays."""
-        if self._file is not None:
-            file, self._file = self._file, None
-            try:
-                file.close()
-            finally:
-                self._partial.unlink(missing_ok=True)
+        if self._new is not None:
+            new, self._new = self._new, None
+            new.discard()
 
     def __enter__(self) -> TapeWriter:
         return self
@@ -133,22 +122,5 @@ class TapeWriter:
             self.discard()
 
     def _write(self, data: Buffer) -> None:
-        if self._file is not None:
-            self._size += self._file.write(data)
-
-    def _publish(self) -> None:
-        """Give the file its real name: a hard link, because that never replaces a file as a rename does."""
-        try:
-            os.link(self._partial, self._path)
-        except FileExistsError:
-            self._refuse_to_overwrite()
-            raise
-        except OSError:  # no hard links (FAT, some network file systems)
-            self._refuse_to_overwrite()
-            self._partial.rename(self._path)
-
-    def _refuse_to_overwrite(self) -> None:
-        if os.path.lexists(self._path):
-            raise FileExistsError(
-                f"{self._path} exists: a dealt tape is never overwritten. Choose another folder"
-            )
+        if self._new is not None:
+            self._size += self._new.file.write(data)
