@@ -14,7 +14,8 @@ from gallery_helpers import (
 )
 
 from spdz.errors import TapeDamaged
-from spdz.gallery import GalleryTape, gallery_bytes
+from spdz.gallery import GalleryTape, gallery_bytes, keys
+from spdz.gallery.format import TAG
 from spdz.tape.envelope import SECTOR
 
 REMEDY = "If this tape was never used, copy it again from where it was dealt; otherwise deal anew"
@@ -160,6 +161,18 @@ def test_places_are_sealed_even_where_keys_are_alike(path, state, tmp_path):
         for use in (lambda: tape.tile(0, 0), lambda: tape.slot(0, 0)):
             with pytest.raises(TapeDamaged, match="another place or tape"):
                 use()
+
+
+def test_a_seal_fits_one_kind_place_and_tape():
+    places = [keys.slot_place(b"x" * 16, owner, index) for owner in (0, 1) for index in (0, 1)]
+    places += [keys.tile_place(b"x" * 16, row, column) for row in (0, 1) for column in (0, 1)]
+    places += [keys.slot_place(b"y" * 16, 0, 0), keys.tile_place(b"y" * 16, 0, 0)]
+    key = bytes(range(32))
+    for place in places:
+        record = keys.seal(key, b"correction", place)
+        assert len(record) == 10 + TAG
+        assert [other for other in places if keys.unseal(key, record, other) == b"correction"] == [place]
+    assert len({keys.seal(key, b"", place) for place in places}) == len(places)
 
 
 @pytest.mark.parametrize(("start", "says"), [(SECTOR, "state at byte"), (KEYS, "key of row band 0")])

@@ -211,6 +211,7 @@ def test_closed_tape_refuses(path, state):
     ):
         with pytest.raises(TapeError, match="closed"):
             use()
+    assert tape._table._keys == {}
 
 
 def test_fork_is_noticed(path, state):
@@ -231,6 +232,25 @@ def test_fork_is_noticed(path, state):
         check_all(tape)
         with pytest.raises(TapeInUse):
             GalleryTape.open(path, state_dir=state)
+
+
+def test_a_fork_that_lives_on_does_not_keep_a_closed_tape_locked(path, state):
+    tape = GalleryTape.open(path, state_dir=state)
+    until, done = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        child = os.fork()
+    if child == 0:
+        os.close(done)
+        os.read(until, 1)  # until the parent closes its end
+        os._exit(0)
+    try:
+        tape.close()
+        GalleryTape.open(path, state_dir=state).close()
+    finally:
+        os.close(done)
+        os.close(until)
+        os.waitpid(child, 0)
 
 
 def test_threads_read_what_was_dealt_while_another_erases(tmp_path, state):
@@ -289,6 +309,19 @@ def test_erased_bands_are_gone_for_good_and_the_others_stay(path, state):
         assert tape.slot(0, 17).correction == slot_correction(HEADER, 0, 17)
     content = path.read_bytes()
     assert column not in content and second in content
+
+
+def test_erasing_again_finishes_what_a_failing_disk_left(path, state, monkeypatch):
+    (first, second), _ = band_keys(HEADER)
+    with GalleryTape.open(path, state_dir=state) as tape:
+        with monkeypatch.context() as patch, pytest.raises(TapeError, match="disk failed"):
+            patch.setattr(os, "pwrite", lambda *arguments: (_ for _ in ()).throw(OSError(5, "broken")))
+            tape.erase(rows=[0])
+        assert first in path.read_bytes()
+        with pytest.raises(TapeError, match="row band 0"):
+            tape.tile(0, 0)
+        tape.erase(rows=[0])
+        assert first not in path.read_bytes() and second in path.read_bytes()
 
 
 def test_destroyed_tape_keeps_no_secret_and_its_copies_are_refused(path, state, tmp_path):
