@@ -8,7 +8,7 @@ import pytest
 from crash_helpers import FATES, Crash, Disk
 from gallery_helpers import ALPHA, HEADER, band_keys, check_all, deal, skip_sync, slot_correction
 
-from spdz.errors import TapeDestroyed, TapeExhausted
+from spdz.foundations.errors import TapeDestroyed, TapeExhausted
 from spdz.gallery import GalleryTape
 
 

@@ -13,7 +13,7 @@ from gallery_helpers import (
     slot_correction,
 )
 
-from spdz.errors import TapeDamaged
+from spdz.foundations.errors import TapeDamaged
 from spdz.gallery import GalleryTape, gallery_bytes, keys
 from spdz.gallery.format import TAG
 from spdz.tape.envelope import SECTOR

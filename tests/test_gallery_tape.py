@@ -25,8 +25,15 @@ from gallery_helpers import (
     tiles,
 )
 
-from spdz import prf
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeExhausted, TapeInUse, TapeMismatch
+from spdz.arithmetic import prf
+from spdz.foundations.errors import (
+    TapeDamaged,
+    TapeDestroyed,
+    TapeError,
+    TapeExhausted,
+    TapeInUse,
+    TapeMismatch,
+)
 from spdz.gallery import GalleryTape, gallery_bytes
 from spdz.tape import Tape, tape_status
 

@@ -23,8 +23,8 @@ import numpy.typing as npt
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from spdz import prf
-from spdz.types import Block, Buffer
+from spdz.arithmetic import prf
+from spdz.foundations.types import Block, Buffer
 
 KEY_BYTES = 32
 """Length of a band's key."""

@@ -13,7 +13,7 @@ import hashlib
 import os
 from collections.abc import Iterable, Sequence
 
-from spdz.errors import TapeDamaged, TapeExhausted
+from spdz.foundations.errors import TapeDamaged, TapeExhausted
 from spdz.gallery.format import GalleryLayout
 from spdz.gallery.keys import KEY_BYTES
 from spdz.tape.advice import replacement

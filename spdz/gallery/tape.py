@@ -23,7 +23,8 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError
+from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError
+from spdz.foundations.types import Block
 from spdz.gallery import keys
 from spdz.gallery.format import GalleryHeader, GalleryLayout, read_gallery_header
 from spdz.gallery.table import KeyTable
@@ -31,7 +32,6 @@ from spdz.tape.advice import replacement
 from spdz.tape.high_water import HighWater, Mark
 from spdz.tape.hold import Hold
 from spdz.tape.state import State, StateSlots
-from spdz.types import Block
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
+from spdz.foundations.types import Buffer
 from spdz.gallery import keys
 from spdz.gallery.format import GalleryHeader, GalleryLayout, encode_gallery_header
 from spdz.gallery.table import encode_table
@@ -17,7 +18,6 @@ from spdz.tape.durable import write_at
 from spdz.tape.envelope import SECTOR
 from spdz.tape.publishing import NewFile
 from spdz.tape.state import State, encode_slot
-from spdz.types import Buffer
 
 _NO_CHAIN = bytes(32)  # a gallery has no ratchet
 

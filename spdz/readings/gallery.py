@@ -1,10 +1,10 @@
 """A gallery's program: the comparison of a job, read on standing inputs instead of fresh ones.
 
 A *slot* holds one vector of one party, masked once and for ever. What depends on one vector alone (that it is
-no longer than it may be, its norm, the normalised vector) is computed once a slot, by :func:`fill`. A *pair* of
-slots is compared by :func:`compare`, for any rectangle of pairs at a time. Both are read by the same engines as
-a job: the dealer on the masks, a party on what it holds, the meter on symbols. Everything that is dealt belongs
-to one slot or to one pair, so that any slots and any rectangle can be read later.
+no longer than it may be, its norm, the normalised vector) is computed once a slot, by :func:`fill`. A *pair*
+of slots is compared by :func:`compare`, for any rectangle of pairs at a time. Both are read by the same
+engines as a job: the dealer on the masks, a party on what it holds, the meter on symbols. Everything that is
+dealt belongs to one slot or to one pair, so that any slots and any rectangle can be read later.
 """
 
 from __future__ import annotations
@@ -39,8 +39,12 @@ class GalleryProgram(Protocol):
         """What a pair needs of one vector, computed once a slot: values whose first axis is the vectors'."""
 
     def compare(self, engine: Engine, x: tuple[Value, ...], y: tuple[Value, ...], /) -> Awaitable[Value]:
-        """The result of every pair: of party 0's vectors, shape (R, 1, N), with what was prepared of them, and
-        party 1's, shape (1, C, N).
+        """The result of every pair.
+
+        Args:
+            engine: The reading.
+            x: Party 0's vectors, shape (R, 1, N), and what was prepared of them.
+            y: Party 1's, shape (1, C, N).
         """
 
 
@@ -67,8 +71,8 @@ class Terms:
     def __post_init__(self) -> None:
         if self.word_bits == LONG or 2 * self.dim << 2 * self.word_bits >= P:
             raise ValueError(
-                f"vectors of {self.dim} numbers and norm {self.program.max_norm:g} need words of more than 57 "
-                "bits, which a gallery has not: scale them down and deal for a smaller max_norm"
+                f"vectors of {self.dim} numbers and norm {self.program.max_norm:g} need words of more "
+                "than 57 bits, which a gallery has not: scale them down and deal for a smaller max_norm"
             )
         if not 0 <= self.min_norm <= self.program.max_norm:
             raise ValueError(f"min_norm lies between 0 and max_norm, not at {self.min_norm:g}")

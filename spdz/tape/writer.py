@@ -7,11 +7,11 @@ from pathlib import Path
 from types import TracebackType
 
 from spdz.arithmetic import prf
+from spdz.foundations.types import Buffer
 from spdz.tape.envelope import SECTOR
 from spdz.tape.format import CHUNK, Layout, TapeHeader, encode_header
 from spdz.tape.publishing import NewFile
 from spdz.tape.state import State, encode_slot
-from spdz.foundations.types import Buffer
 
 
 class TapeWriter:

@@ -71,4 +71,4 @@ class Standing:
     def rows(self, which: Any) -> Standing:
         """Some of the vectors."""
         eps, s, mac = (None if part is None else part[which] for part in (self.eps, self.s, self.mac))
-        return replace(self, eps=eps, s=s, mac=mac)  # type: ignore[arg-type]
+        return replace(self, eps=eps, s=s, mac=mac)
