@@ -19,6 +19,7 @@ HEADER = GalleryHeader(
     fingerprint="c0ffee",
     program={"score": "S10", "reveal": "bit", "dim": 8, "tile": [1, 1], "max_norm": 1.5},
     slots=(17, 5),
+    band=16,
     slot_pad=(48, 40),
     slot_correction=(33, 0),
     pair_pad=7,

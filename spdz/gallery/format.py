@@ -55,6 +55,7 @@ class GalleryHeader(Header):
         fingerprint: Hex; what the meter saw of the program.
         program: The program's public parameters, as JSON.
         slots: Slots asked for, for descriptors of party 0 (rows) and of party 1 (columns), 1 to MAX_SLOTS.
+        band: Most slots in a band, 1 to BAND.
         slot_pad: This party's pseudo-random bytes for a slot of party 0 and of party 1.
         slot_correction: This party's stored bytes for a slot of party 0 and of party 1.
         pair_pad: This party's pseudo-random bytes for a pair of slots.
@@ -65,6 +66,7 @@ class GalleryHeader(Header):
     """
 
     slots: tuple[int, int]
+    band: int
     slot_pad: tuple[int, int]
     slot_correction: tuple[int, int]
     pair_pad: int
@@ -83,13 +85,14 @@ class GalleryHeader(Header):
             for number in value:
                 check_integer(name, number, least, most)
             object.__setattr__(self, name, tuple(value))
+        check_integer("band", self.band, 1, BAND)
         check_integer("pair_pad", self.pair_pad, 0, MAX_PAIR_BYTES)
         check_integer("pair_correction", self.pair_correction, 0, MAX_PAIR_BYTES)
 
     @property
     def bands(self) -> Bands:
         """Sizes and numbers of row and column bands: as few as may be, and all of one size."""
-        (rows, row_bands), (columns, column_bands) = map(_bands, self.slots)
+        (rows, row_bands), (columns, column_bands) = (_bands(slots, self.band) for slots in self.slots)
         return Bands((rows, columns), (row_bands, column_bands))
 
     @property
@@ -221,7 +224,7 @@ def read_gallery_header(descriptor: int, path: Path) -> tuple[GalleryHeader, Gal
     return header, layout
 
 
-def _bands(slots: int) -> tuple[int, int]:
+def _bands(slots: int, most: int) -> tuple[int, int]:
     """Size and number of the fewest bands, of one size that is as small as may be."""
-    count = -(-slots // BAND)
+    count = -(-slots // most)
     return -(-slots // count), count

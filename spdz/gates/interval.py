@@ -8,8 +8,8 @@ whole field is covered. Steps for ``[[S]]``, lo <= hi:
 3. open the bit and check it, as for signs (:mod:`spdz.gates.signs`).
 
 Cost: two rounds and two checks, an element and a bit an entry; 2 KB stored. Malicious security: step 1 is
-under MAC, and a wrong bit is a guess of Delta. An honest S inside gives True whatever the other party does, or
-the check fails: there is no selective failure to learn from.
+under MAC, and a wrong bit is a guess of Delta. An honest S inside gives True whatever the other party does,
+or the check fails: there is no selective failure to learn from.
 """
 
 from __future__ import annotations
