@@ -48,11 +48,10 @@ class Side:
 
     def follows(self, earlier: Side) -> bool:
         """Whether this can have become of ``earlier``: nothing was taken back."""
-        kept = (
-            joined(self.void, earlier.void) == self.void and joined(self.noted, earlier.noted) == self.noted
-        )
+        still_void = joined(self.void, earlier.void) == self.void
+        still_noted = joined(self.noted, earlier.noted) == self.noted
         same = self.head == earlier.head or (self.filled, self.void) != (earlier.filled, earlier.void)
-        return self.filled >= earlier.filled and kept and same
+        return self.filled >= earlier.filled and still_void and still_noted and same
 
 
 @dataclass(frozen=True, slots=True)
