@@ -10,7 +10,7 @@ import threading
 import pytest
 from ledger_helpers import TAPE, Model, facts, head, mark_of, open_ledger, run
 
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeInUse, TapeMismatch
+from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError, TapeInUse, TapeMismatch
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Strip
 
@@ -636,7 +636,7 @@ def test_threads_may_share_a_ledger(ledger):
 FORKS = """
 import os, sys, threading
 from pathlib import Path
-from spdz.errors import TapeInUse
+from spdz.foundations.errors import TapeInUse
 from spdz.gallery.ledger import Ledger
 folder = Path(sys.argv[1])
 ledger = Ledger.open(folder / "t.ledger", "beef", 0, state_dir=folder / "state")

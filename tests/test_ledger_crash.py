@@ -11,7 +11,7 @@ import time
 import pytest
 from ledger_helpers import Model, facts, mark_of, open_ledger, random_actions, run
 
-from spdz.errors import TapeDestroyed
+from spdz.foundations.errors import TapeDestroyed
 
 KILLED = 9
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from spdz.errors import TapeDamaged, TapeDestroyed, TapeError, TapeInUse, TapeMismatch
+from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError, TapeInUse, TapeMismatch
 from spdz.gallery.heads import extended, first_head
 from spdz.gallery.mark import Mark, MarkFile
 from spdz.gallery.recovery import Digests, check_ahead, recovery

@@ -25,7 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
-from spdz.errors import TapeMismatch
+from spdz.foundations.errors import TapeMismatch
 from spdz.gallery.journal import STRIP, Journal
 from spdz.gallery.mark import MAX_TEXT, Mark
 from spdz.gallery.slots import Slots

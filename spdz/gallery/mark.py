@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from spdz.errors import TapeDamaged, TapeError
+from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.gallery.heads import first_head
 from spdz.gallery.runs import Runs, are_runs, joined
 from spdz.gallery.strip import Rectangle, Strip, grown

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from spdz.errors import TapeMismatch
+from spdz.foundations.errors import TapeMismatch
 from spdz.gallery.heads import digest_of, extended
 from spdz.gallery.journal import BURY, FILL, Journal
 from spdz.gallery.mark import Side
@@ -50,6 +50,12 @@ class Slots:
     def voids(self) -> list[int]:
         """Slots that hold nothing, ascending."""
         return slots_in(self._side.void)
+
+    @property
+    def ready(self) -> int:
+        """Slots, from the first on, that are void or have a note."""
+        runs = joined(self._side.void, self._side.noted)
+        return runs[0][1] if runs and runs[0][0] == 0 else 0
 
     def fill(self, entries: Sequence[tuple[int, bytes | None]]) -> None:
         """Use the next slots.

@@ -27,7 +27,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, TypeAlias
 
-from spdz.errors import TapeDamaged, TapeError
+from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.gallery.mark import Mark
 from spdz.gallery.strip import Strip
 from spdz.tape.durable import create_private, sync_folder

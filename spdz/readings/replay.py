@@ -23,13 +23,10 @@ class RecordingParty(Party):
 
     _opened: list[npt.NDArray[Any]] | None = None
 
-    def notes(self) -> list[bytes]:
-        """For every slot the bytes that :class:`ReplayingParty` takes."""
-        opened = self._opened or []
-        slots = self._stream.records
-        return [
-            b"".join(np.ascontiguousarray(one[slot]).tobytes() for one in opened) for slot in range(slots)
-        ]
+    def notes(self, slots: int) -> list[bytes]:
+        """For each of so many slots the bytes that :class:`ReplayingParty` takes."""
+        opened = [np.ascontiguousarray(one) for one in self._opened or []]
+        return [b"".join(one[slot].tobytes() for one in opened) for slot in range(slots)]
 
     async def open(self, *values: Value) -> list[FieldArray]:
         """As :meth:`Party.open`."""

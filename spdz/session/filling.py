@@ -1,8 +1,8 @@
 """New slots of a gallery: masked, made durable, sent, and kept at the other side.
 
 What is sent for a slot is in the ledger first; what comes is checked and in the ledger before anything is
-computed with it. A slot whose words would tell something of the vector (:mod:`spdz.values.input_mask`) is told
-as void, and the vector takes the next.
+computed with it. A slot whose words would tell something of the vector (:mod:`spdz.values.input_mask`) is
+told as void, and the vector takes the next.
 """
 
 from __future__ import annotations

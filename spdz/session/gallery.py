@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spdz.arithmetic.fixed_point import encode
 from spdz.channels import Channel, FrameKind
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
@@ -28,11 +27,11 @@ from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms, compare
-from spdz.readings.gallery_plan import GalleryPlan, measure_gallery
 from spdz.readings.party import Party
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
+from spdz.session.admission import checked_plan, quantised
 from spdz.session.agreement import Agreement
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
@@ -72,7 +71,7 @@ class GallerySession(Lifecycle):
         terms: What the tape was dealt for, with the threshold.
 
     Raises:
-        TapeMismatch: if tape, terms and peer do not belong together, or the two ledgers contradict each other.
+        TapeMismatch: if tape, terms and peer do not belong together, or the ledgers contradict each other.
         ProtocolViolation: if the peer's account is malformed.
     """
 
@@ -255,8 +254,8 @@ class GallerySession(Lifecycle):
         text = self._plan.text
         if ledger.text not in (None, text.encode()):
             raise TapeMismatch(
-                "this gallery has answered another threshold, program or resolution, and its masks must never "
-                "answer two: use the same as before, or deal new tapes"
+                "this gallery has answered another threshold, program or resolution, and its masks must "
+                "never answer two: use the same as before, or deal new tapes"
             )
         account = {**own.as_json(), "text": text}
         answer = self._agreement.control(account, *account)
@@ -305,38 +304,3 @@ class GallerySession(Lifecycle):
             self._ledger.close()
         finally:
             self._tape.close()
-
-
-def checked_plan(tape: GalleryTape, terms: Terms) -> GalleryPlan:
-    """The meter's plan of the terms, held against the tape.
-
-    Raises:
-        TapeMismatch: if the tape was dealt for something else.
-    """
-    plan = measure_gallery(terms)
-    if plan.recipe != tape.header.fingerprint or terms.security != tape.header.security:
-        raise TapeMismatch("this gallery was dealt for another program: run the one that it was dealt for")
-    return plan
-
-
-def quantised(terms: Terms, descriptors: npt.ArrayLike) -> IntArray:
-    """Check and quantise descriptors of shape (n, N).
-
-    Raises:
-        ValueError: for descriptors that do not suit the gallery.
-    """
-    array = np.asarray(descriptors)
-    if array.ndim != 2 or array.shape[1] != terms.dim:
-        raise ValueError(f"descriptors are an array of shape (n, {terms.dim}), not {array.shape}")
-    if not len(array):
-        return np.empty((0, terms.dim), dtype=np.int64)
-    raw = encode(array, max_norm=terms.program.max_norm)
-    least, _ = terms.squares
-    if least:
-        squares = (raw.astype(object) ** 2).sum(axis=1)
-        for index in np.flatnonzero(squares < least)[:1]:
-            raise ValueError(
-                f"descriptor: the vector at index {index} is shorter than {terms.min_norm:g}, the smallest "
-                "norm that this gallery was dealt for"
-            )
-    return raw

@@ -50,7 +50,7 @@ class Step:
 
 
 def pieces(strip: Strip, most: int) -> Iterator[Strip]:
-    """A strip cut into strips of at most so many pairs, or of one row or column, each beside the one before."""
+    """A strip in strips of at most so many pairs, or of one row or column, each beside the one before."""
     rows, columns = strip.rows, strip.columns
     by_rows = columns.start == 0
     long, across = (rows, columns) if by_rows else (columns, rows)
@@ -67,8 +67,7 @@ def cells(strip: Strip, void: Sequence[set[int]], most: int) -> Iterator[tuple[r
             if len(rows) * len(columns) <= most:
                 yield rows, columns
                 continue
-            for piece in _squares(rows, columns, most):
-                yield piece
+            yield from _squares(rows, columns, most)
 
 
 def _squares(rows: range, columns: range, most: int) -> Iterator[tuple[range, range]]:
