@@ -69,17 +69,27 @@ class GallerySession(Lifecycle):
         ledger: The tape's ledger, open; the session closes it.
         channel: A connected channel; the session closes it.
         terms: What the tape was dealt for, with the threshold.
+        waiting: Quantised descriptors for the next step. What a step that is broken off has not filled is
+            left in this list.
 
     Raises:
         TapeMismatch: if tape, terms and peer do not belong together, or the ledgers contradict each other.
         ProtocolViolation: if the peer's account is malformed.
     """
 
-    def __init__(self, tape: GalleryTape, ledger: Ledger, channel: Channel, terms: Terms) -> None:
+    def __init__(
+        self,
+        tape: GalleryTape,
+        ledger: Ledger,
+        channel: Channel,
+        terms: Terms,
+        waiting: list[IntArray] | None = None,
+    ) -> None:
         super().__init__(channel, "gallery")
         self._tape, self._ledger, self._terms = tape, ledger, terms
         self._shelves = (Shelf(tape, terms, 0), Shelf(tape, terms, 1))
-        self._filling = Filling(tape, terms, ledger, self._shelves, channel, [])
+        self._waiting = [] if waiting is None else waiting
+        self._filling = Filling(tape, terms, ledger, self._shelves, channel, self._waiting)
         self._again: Strip | None = None
         with self._guard():
             self._plan = checked_plan(tape, terms)
@@ -108,6 +118,10 @@ class GallerySession(Lifecycle):
     def room(self) -> int:
         """Own slots that are neither used nor waited for."""
         return self._filling.room
+
+    def require_room(self, more: int = 0) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for what waits and so many more descriptors."""
+        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting) + more)
 
     def results(self) -> Iterator[Block]:
         """All results so far, as they were committed, strip by strip."""
@@ -139,27 +153,35 @@ class GallerySession(Lifecycle):
         self._require_alive()
         raw = quantised(self._terms, descriptors)
         with self._turn:
-            self._filling.refuse_more_than(self.room, len(raw))
-            self._filling.waiting += list(raw)
+            self.require_room(len(raw))
+            self._waiting += list(raw)
 
-    def step(self, on_block: Callable[[Block], None] = lambda block: None) -> Step:
+    def step(
+        self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
+    ) -> Step:
         """Bring what was added, and compare all new pairs; both sides call it equally often.
 
         Args:
             on_block: Called with every block as soon as it is checked and durable.
+            into: A step that an earlier session has begun, to go on with.
 
         Raises:
             MacCheckFailed: if the peer cheated; nothing more is output, and tape and ledger are destroyed.
             SpdzError: as any session. What was output stays true.
         """
         with self._guard():
-            step, more = Step(), True
+            step, more = Step() if into is None else into, True
             while more:
                 more = self._filling.exchange(self._agreement, step)
                 self._begin()
                 self._prepare(step.stats)
                 self._compare_new(step, on_block)
             return step
+
+    def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
+        """Swap one small public JSON object with the peer."""
+        with self._guard():
+            return self._agreement.note(note)
 
     # -- the parts of a step -------------------------------------------------------------------------
 
