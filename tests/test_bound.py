@@ -263,7 +263,7 @@ def test_the_field_holds_what_is_output():
 
 
 async def shortest(x, y):
-    """Of masks that are uniform on F_p, as the norm makes them (``test_input_mask.py`` has small integers)."""
+    """Of masks that are uniform on F_p, as the norm makes them (small integers: ``test_small_masks.py``)."""
     (cut,) = await truncate(x, frac=4)
     made = [cut + x, x - cut, cut * 3, cut[:1], cut.sum(), concatenate(cut, x), concatenate(x, cut), cut + 1]
     assert {z.mask_bits for z in (cut, *made)} == {x.mask_bits - 12}
