@@ -17,7 +17,8 @@ _POWER = Fraction(-1, 2)
 
 async def cosine(x: Value, y: Value) -> Value:
     """The cosine over the last axis; leading axes broadcast. Three rounds."""
-    (of_x, of_y), (product,) = await parallel(power(dot(x, x), dot(y, y), alpha=_POWER), mask(dot(x, y)))
+    cross = dot(x, y)
+    (of_x, of_y), (product,) = await parallel(power(dot(x, x), dot(y, y), alpha=_POWER), mask(cross))
     scaled = _scaled(product, of_x.scale, of_y.scale)
     m_x, m_y, scaled = await truncate(of_x.mantissa, of_y.mantissa, scaled, frac=_BITS)
     return multiply(scaled, m_x, m_y, entry=1.01)
