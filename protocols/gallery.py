@@ -1,9 +1,9 @@
 """Galleries that outlive their connections: streams of keyframes, each compared with all that the peer has.
 
-Both robots make a :class:`Gallery` and call :meth:`Gallery.step` equally often, each time with what is new, or
-with nothing. Steps are numbered. When a connection breaks in the middle of a step one robot may be through with
-it and the other not; then the one that is through serves it once more, before its next step or when it ends.
-What was compared is never compared again, and a robot that was restarted goes on with the peer's number.
+Both robots make a :class:`Gallery` and call :meth:`Gallery.step` equally often, each time with what is new,
+or with nothing. Steps are numbered. When a connection breaks in the middle of a step one robot may be through
+with it and the other not; then the one that is through serves it once more, before its next step or when it
+ends. What was compared is never compared again, and a robot that was restarted goes on with the peer's number.
 """
 
 from __future__ import annotations
@@ -193,8 +193,8 @@ class Gallery(Reconnecting[GallerySession]):
         held = self._session.plain(filled)
         if len(raw) < len(held) or not np.array_equal(raw[: len(held)], held):
             raise ValueError(
-                f"the gallery holds {len(held)} descriptors already, and they are not the first {len(held)} of "
-                "these: give the whole map again with what is new at its end"
+                f"the gallery holds {len(held)} descriptors already, and they are not the first {len(held)} "
+                "of these: give the whole map again, with what is new at its end"
             )
         return len(held)
 

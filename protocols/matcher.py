@@ -16,7 +16,6 @@ within the number that was dealt.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -29,13 +28,14 @@ from protocols.catalog import Purpose
 from protocols.matching import check_descriptors
 from protocols.position import Offer, Position, meeting
 from protocols.reconnecting import FAREWELL, Reconnecting
-from spdz.foundations.errors import ChannelError, OutOfStep, PeerAborted, SpdzError, TapeExhausted
+from spdz.foundations.errors import ChannelError, OutOfStep, SpdzError, TapeExhausted
 from spdz.session import Session, open_session
 from spdz.session.connect import check_where
 from spdz.session.turn import Turn
 from spdz.tape import Tape, TapeHeader
 
 Self = TypeVar("Self", bound="Matcher")
+
 
 class Matcher(Reconnecting[Session]):
     """One robot's side of a matching with one peer. Both robots make one, and match equally often.

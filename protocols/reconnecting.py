@@ -36,7 +36,7 @@ class Reconnecting(ABC, Generic[AnySession]):
     def _open(self, wait: float) -> AnySession:
         """Reach the peer."""
 
-    def _ended(self, session: AnySession) -> None:  # noqa: B027
+    def _ended(self, session: AnySession) -> None:
         """A session was closed."""
 
     def close(self) -> None:

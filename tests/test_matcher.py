@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from link_helpers import BATCHES, DIM, Link, all_batches, check_all, expected, mission, robots
 
-from protocols import Matcher, Matches, batching, matcher
+from protocols import Matcher, Matches, batching, reconnecting
 from spdz import (
     ChannelError,
 )
@@ -147,7 +147,11 @@ def test_the_wait_begins_again_whenever_something_went_on(tmp_path):
     paths = mission(tmp_path / "m", 200, tile=(1, 1))
     link = Link([(k % 2, 1900) for k in range(12)])
     clock = Clock()
-    patches = [(batching, "MOST_JOBS", 1), (matcher, "time", clock), (matcher, "_LONGEST_PAUSE", 20.0)]
+    patches = [
+        (batching, "MOST_JOBS", 1),
+        (reconnecting, "time", clock),
+        (reconnecting, "_LONGEST_PAUSE", 20.0),
+    ]
     with ExitStack() as stack:
         for where, what, value in patches:
             stack.enter_context(patch.object(where, what, value))

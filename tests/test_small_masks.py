@@ -291,20 +291,16 @@ async def nothing_cut(x, y):
     return await cut(0 * (x - y), 4)
 
 
-BESIDE = pytest.mark.xfail(strict=True, reason="small masks beside uniform ones count as uniform on F_p")
-ZERO = pytest.mark.xfail(strict=True, reason="a small mask times 0 counts as one uniform on F_p")
-
-
 @both_modes
 @pytest.mark.parametrize(
     "function",
     [
         sum_with_a_fresh_mask,
         sum_with_what_is_left_of_one,
-        pytest.param(beside_a_fresh_mask, marks=BESIDE),
-        pytest.param(roots_beside_a_fresh_mask, marks=BESIDE),
-        pytest.param(nothing_compared, marks=ZERO),
-        pytest.param(nothing_cut, marks=ZERO),
+        beside_a_fresh_mask,
+        roots_beside_a_fresh_mask,
+        nothing_compared,
+        nothing_cut,
     ],
     ids=lambda function: function.__name__,
 )

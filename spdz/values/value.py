@@ -250,7 +250,7 @@ class Value(Secret):
         shape = np.broadcast_shapes(self.shape, np.shape(raw))
         bound = self.bound.broadcast(self.shape, shape).scaled(magnitude(raw))
         scaled = self._map(lambda part: self.engine.ring.scale(part, raw), shape, bound, frac)
-        scaled.span *= magnitude(raw)
+        scaled.span *= max(1, magnitude(raw))
         if not np.all(raw) and not self.span:
             scaled.mask_bits = 0  # where a factor is 0, so is the mask
         return scaled
@@ -293,7 +293,7 @@ def concatenate(*values: Value) -> Value:
         None if all(part is None for part in column) else engine.ring.concatenate(column, shapes)
         for column in zip(*(value.parts for value in values), strict=True)
     )
-    norms = [value.bound.norm for value in values]
+    norms, small = [value.bound.norm for value in values], {value.span > 0 for value in values}
     bound = Bound(max(v.bound.entry for v in values), sum(norms) if values[0].ndim == 1 else max(norms))
     return Value(
         engine,
@@ -302,8 +302,8 @@ def concatenate(*values: Value) -> Value:
         frac,
         bound,
         masked=values[0].masked,
-        mask_bits=min(value.mask_bits for value in values),
-        span=max(value.span for value in values) if all(value.span for value in values) else 0,
+        mask_bits=0 if len(small) > 1 else min(value.mask_bits for value in values),
+        span=max(value.span for value in values) if small == {True} else 0,
     )
 
 
