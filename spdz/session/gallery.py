@@ -91,6 +91,7 @@ class GallerySession(Lifecycle):
         self._waiting = [] if waiting is None else waiting
         self._filling = Filling(tape, terms, ledger, self._shelves, channel, self._waiting)
         self._again: Strip | None = None
+        self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
             own = handshake.Hello.of_gallery(tape.header)
@@ -152,9 +153,8 @@ class GallerySession(Lifecycle):
         """
         self._require_alive()
         raw = quantised(self._terms, descriptors)
-        with self._turn:
-            self.require_room(len(raw))
-            self._waiting += list(raw)
+        self.require_room(len(raw))
+        self._waiting += list(raw)
 
     def step(
         self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
@@ -202,7 +202,7 @@ class GallerySession(Lifecycle):
             )
 
     def _prepare(self, stats: Stats) -> None:
-        """Prepare and prove all slots that are not ready, of both parties in the same rounds."""
+        """Prepare and prove all slots that are not ready on both sides, of both parties in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
@@ -212,11 +212,12 @@ class GallerySession(Lifecycle):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
                 self._ledger.slots[shelf.owner].note(dict(zip(slots, party.notes(len(slots)), strict=True)))
+                self._ready[shelf.owner] = slots[-1] + 1
 
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(slots.ready, slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -294,6 +295,7 @@ class GallerySession(Lifecycle):
         if agreed.burn is not None and not within(agreed.burn, ledger.done):
             ledger.burn(agreed.burn)
         self._filling.sent, self._again = agreed.send, agreed.again
+        self._ready = [min(pair) for pair in zip(own.ready, peer.ready, strict=True)]
 
     def _restore(self) -> None:
         """Read what earlier sessions have filled."""
