@@ -202,7 +202,7 @@ class GallerySession(Lifecycle):
             )
 
     def _prepare(self, stats: Stats) -> None:
-        """Prepare and prove the slots that are not ready on both sides, of both parties in the same rounds."""
+        """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
