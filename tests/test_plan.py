@@ -33,6 +33,7 @@ def words(text, *more):
         (Purpose("S10", 5, max_norm=1.0), (9, 8)),  # 72 jobs: more than a batch
         (Purpose("S10", 5, tile=(2, 3), max_norm=1.0), (5, 7)),
         (Purpose("S6", 5, tile=(3, 2), reveal="score"), (4, 4)),
+        (Purpose("S10", 4, tile=(1, 3), max_norm=2.0**13), (3, 4)),  # words of 63 bits, and elements
         (Purpose("S2", 4, tile=(2, 2), max_norm=1.0), (4, 3)),
         (Purpose("S4", 4, tile=(1, 3), max_norm=1.0), (2, 3)),
         (Purpose("S7", 4, tile=(2, 1), max_norm=1.0), (3, 2)),
