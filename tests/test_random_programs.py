@@ -87,7 +87,9 @@ def run(program):
     for name in readings[0]:
         forms = {form(reading[name]) for reading in readings}
         hold(len(forms) == 1, program, name, "has several forms", forms)
-        first, second, plain, *_ = (reading[name] for reading in readings)
+        first, second, plain, meter, dealer = (reading[name] for reading in readings)
+        undecided = {value.undecided for value in (first, second, meter, dealer)}
+        hold(len(undecided) == 1, program, name, "was used in some readings alone")
         if not first.undecided:  # a comparison that is opened as bits, or never used, has no parts
             compare(program, name, put_together(first, second), first)
         compare(program, name, plain.parts[0], plain)

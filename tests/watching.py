@@ -20,7 +20,7 @@ def within_bound(raw, bound):
 
 def form(value):
     """What all readings must agree on."""
-    return value.shape, value.frac, value.masked, value.undecided, value.bound.entry, value.bound.norm
+    return value.shape, value.frac, value.masked, value.bound.entry, value.bound.norm
 
 
 def put_together(first, second):
