@@ -24,7 +24,7 @@ from spdz.gallery.format import BAND, GalleryHeader
 from spdz.gallery.writer import GalleryWriter
 from spdz.readings.gallery import Derived, Filled, Terms, compare, fill
 from spdz.readings.gallery_plan import GalleryPlan, measure_gallery
-from spdz.readings.records import TilePart, pair_stream, slot_stream
+from spdz.readings.records import Octets, TilePart, pair_stream, slot_stream
 from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import run_silently
 from spdz.values.engine import Input
@@ -168,7 +168,7 @@ class GalleryDealing:
         offsets, derived = [], []
         for start in range(0, count, _SLOTS):
             numbers = range(start, min(start + _SLOTS, count))
-            streams = (self._slot_stream(0, owner, numbers), self._slot_stream(1, owner, numbers))
+            streams = (self.slot_stream(0, owner, numbers), self.slot_stream(1, owner, numbers))
             job, outlet = self._job(streams)
             shape = (len(numbers), self._terms.dim)
             masked = job.input_mask(Input(owner, shape, self._terms.norm))
@@ -199,7 +199,7 @@ class GalleryDealing:
         sizes, _ = self._headers[0].bands
         rows = slice(row_band * sizes[0], (row_band + 1) * sizes[0])
         columns = slice(column_bands.start * sizes[1], column_bands.stop * sizes[1])
-        streams = (self._pair_stream(0, row_band, column_bands), self._pair_stream(1, row_band, column_bands))
+        streams = (self.pair_stream(0, row_band, column_bands), self.pair_stream(1, row_band, column_bands))
         job, outlet = self._job(streams)
         sides = (self._filled(job, 0, rows), self._filled(job, 1, columns))
         run_silently(compare(job, self._terms, *sides))
@@ -219,7 +219,10 @@ class GalleryDealing:
             standing, derived, len(offsets), lambda: standing.parts(malicious=job.malicious, dealt=True)
         )
 
-    def _slot_stream(self, party: int, owner: int, numbers: range) -> RecordStream:
+    def slot_stream(
+        self, party: int, owner: int, numbers: range, corrections: Octets | None = None
+    ) -> RecordStream:
+        """What a party draws for slots: its pads, and corrections (n, bytes) where they are dealt already."""
         header, size = self._headers[party], self._headers[party].bands.sizes[owner]
         pads = np.stack(
             [
@@ -230,18 +233,23 @@ class GalleryDealing:
             ]
         )
         deltas = np.ascontiguousarray(pads[:, :_DELTA]).view("<u8")
-        nothing = np.empty((len(numbers), 0), dtype=np.uint8)
+        if corrections is None:
+            corrections = np.empty((len(numbers), 0), dtype=np.uint8)
         hash_keys = [keys.slot_hash_key(header.tape, owner, i) for i in numbers]
-        return slot_stream(pads[:, _DELTA:], nothing, deltas, hash_keys)
+        return slot_stream(pads[:, _DELTA:], corrections, deltas, hash_keys)
 
-    def _pair_stream(self, party: int, row_band: int, column_bands: range) -> RecordStream:
+    def pair_stream(
+        self, party: int, row_band: int, column_bands: range, corrections: Octets | None = None
+    ) -> RecordStream:
+        """The same for all pairs of a row band and of column bands; corrections (rows, columns, bytes)."""
         header, (rows, columns) = self._headers[party], self._headers[party].bands.sizes
+        if corrections is None:
+            corrections = np.empty((rows, len(column_bands) * columns, 0), dtype=np.uint8)
         parts = []
-        nothing = np.empty((rows, columns, 0), dtype=np.uint8)
         for at, band in enumerate(column_bands):
             tile = keys.tile_keys(self._bands[party][0][row_band], self._bands[party][1][band])
             delta, pad = keys.tile_pad(tile.pad, rows, columns, header.pair_pad)
             where = slice(at * columns, (at + 1) * columns)
             hash_key = keys.tile_hash_key(header.tape, row_band, band)
-            parts.append(TilePart(slice(0, rows), where, pad, nothing, delta, hash_key))
+            parts.append(TilePart(slice(0, rows), where, pad, corrections[:, where], delta, hash_key))
         return pair_stream((rows, len(column_bands) * columns), parts)

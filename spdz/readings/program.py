@@ -8,9 +8,9 @@ runs and its result is opened after it, so a program can neither mask an input t
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from inspect import isawaitable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from spdz.arithmetic.fixed_point import MAX_NORM, encode, norm_bound
 from spdz.foundations.types import IntArray, Shape
@@ -19,6 +19,8 @@ from spdz.gates.output import output
 from spdz.values.engine import Engine, Input
 from spdz.values.refusals import described
 from spdz.values.value import Value
+
+Operand = TypeVar("Operand")
 
 
 class Program(Protocol):
@@ -56,15 +58,21 @@ async def run(engine: Engine, program: Program, inputs: Sequence[Input]) -> Any:
     return await output(engine, await result_of("program", program, engine, x, y))
 
 
-async def result_of(kind: str, function: Program, engine: Engine, x: Value, y: Value) -> Value:
+async def result_of(
+    kind: str,
+    function: Callable[[Engine, Operand, Operand], Awaitable[Value]],
+    engine: Engine,
+    x: Operand,
+    y: Operand,
+) -> Value:
     """Await a program, or a part of one that has its form.
 
     Args:
         kind: What the function is called where it is at fault.
         function: An ``async def function(engine, x, y)``.
         engine: The reading.
-        x: Party 0's value.
-        y: Party 1's value.
+        x: What party 0 has: a value, or several.
+        y: The same of party 1.
 
     Returns:
         Its result.

@@ -110,10 +110,7 @@ class Value(Secret):
 
     @property
     def undecided(self) -> bool:
-        """Whether this is a comparison that nothing has used yet, so that nothing is dealt for it yet.
-
-        Only opening it tells how it is dealt best (:mod:`spdz.gates.signs`); any other use decides it.
-        """
+        """Whether this is a comparison that nothing has used yet, and for which nothing is dealt yet."""
         return self.sign_of is not None and callable(self._parts)
 
     def decide(self) -> None:
