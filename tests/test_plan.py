@@ -94,7 +94,7 @@ def test_candidates_differ_fit_the_maps_and_waste_little(maps):
 
 @pytest.mark.parametrize("score", ["S2", "S10"])
 def test_the_picked_tile_keeps_jobs_small_and_the_link_quick(score):
-    plans = plan_maps(AGENTS, Purpose(score, 1200, max_norm=1.0), (200, 300), "malicious")
+    plans = plan_maps(AGENTS, Purpose(score, 1200, max_norm=1.0), (400, 300), "malicious")
     picked, why = pick(plans)
     assert picked in plans and "link" in why
     assert picked.job_bytes <= batching.DEALT_BYTES and picked.matching_memory <= plan.ROBOT_MEMORY
