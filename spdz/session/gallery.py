@@ -172,10 +172,12 @@ class GallerySession(Lifecycle):
         with self._guard():
             step, more = Step() if into is None else into, True
             while more:
-                more = self._filling.exchange(self._agreement, step)
-                self._begin()
-                self._prepare(step.stats)
-                self._compare_new(step, on_block)
+                with step.filling.timed() as stats:
+                    more = self._filling.exchange(self._agreement, step)
+                    self._begin()
+                    self._prepare(stats)
+                with step.comparing.timed():
+                    self._compare_new(step, on_block)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -244,7 +246,7 @@ class GallerySession(Lifecycle):
             self._ledger.begin(strip)
         first, second = (set(slots.voids) for slots in self._ledger.slots)
         parts = [
-            self._run_cell(rows, columns, step.stats)
+            self._run_cell(rows, columns, step.comparing.stats)
             for rows, columns in cells(strip, (first, second), self._most_pairs)
         ]
         if kept:
