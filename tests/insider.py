@@ -31,16 +31,18 @@ from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import Check, Exchange
 from spdz.rounds.mac_check import DIGEST_BYTES, MacCheck, drive
 from spdz.session.session import _all
+from spdz.values import input_mask
 
 SESSION = b"a session"
 
 
-def elements(frame):
-    return [int.from_bytes(frame[start : start + 16], "little") for start in range(0, len(frame), 16)]
+def elements(frame, size=16):
+    """The numbers of a frame: field elements, or the shorter words of inputs under short masks."""
+    return [int.from_bytes(frame[start : start + size], "little") for start in range(0, len(frame), size)]
 
 
-def frame_of(numbers):
-    return b"".join(number.to_bytes(16, "little") for number in numbers)
+def frame_of(numbers, size=16):
+    return b"".join(number.to_bytes(size, "little") for number in numbers)
 
 
 class Ledger(MacCheck):
@@ -80,8 +82,8 @@ class Insider:
     Args:
         protocol: What it pretends to run.
         ledger: The MAC check in which that protocol records.
-        lie: ``lie(number, own, theirs)``: the elements to send in DATA exchange ``number`` (0: the inputs)
-            instead of ``own``, knowing ``theirs``.
+        lie: ``lie(number, own, theirs)``: the elements to send in DATA exchange ``number`` (0: the inputs,
+            elements or words) instead of ``own``, knowing ``theirs``. Inputs of both parties are of one kind.
         forge: ``forge(ledger, theirs)``: what to send in a check, knowing the honest hash.
         follow: Whether its state follows what it lied in an opening. (It never follows a lie about its input:
             for that, its program must add the same to its input.)
@@ -102,10 +104,12 @@ class Insider:
             self._ledger.believe(bytes(theirs))
             self._advance(None)
             return frame
-        own, honest = elements(b"".join(self.request.payload)), elements(theirs)
+        payload = b"".join(self.request.payload)
+        size = len(payload) // self.request.elements
+        own, honest = elements(payload, size), elements(theirs, size)
         said = self._lie(self._number, own, honest)
         self.lied |= said != own
-        frame = frame_of(said)
+        frame = frame_of(said, size)
         self._ledger.absorb([frame], theirs)
         if self._follow and self._number and len(said) == len(own):
             theirs = frame_of((t + s - o) % P for o, t, s in zip(own, honest, said, strict=True))
@@ -202,6 +206,17 @@ class Dealt:
             ]
 
     @cached_property
+    def word_bits(self):
+        """Bits of the words of inputs of party 0, as of party 1; ``input_mask.LONG`` for elements."""
+        source = declare(self.program, self._shapes)[0]
+        return input_mask.LONG if self._stock else input_mask.word_bits(source.shape, source.norm)
+
+    @cached_property
+    def norm(self):
+        """The largest magnitude of an honest coordinate, in raw units."""
+        return declare(self.program, self._shapes)[0].norm
+
+    @cached_property
     def honest(self):
         """What a run without a lie looks like."""
         return self.duel()
@@ -231,7 +246,7 @@ class Dealt:
             request = next(honest)
             while True:
                 frame = b"".join(request.payload)
-                duel.sent.append(None if request.is_check else len(frame) // 16)
+                duel.sent.append(None if request.is_check else request.elements)
                 answer = insider.answer(frame)
                 if len(answer) != request.expect:
                     raise ProtocolViolation("a frame of another length, which no channel lets through")

@@ -181,9 +181,9 @@ def test_second_open_and_a_copy_are_refused_until_the_first_is_closed(path, stat
     copy = shutil.copy(path, tmp_path / "copy.tape")
     other = deal(tmp_path / "other.tape", party=1)
     script = (
-        "import sys, pathlib, spdz.gallery, spdz.errors\n"
+        "import sys, pathlib, spdz.gallery, spdz.foundations.errors\n"
         "try: spdz.gallery.GalleryTape.open(sys.argv[1], state_dir=pathlib.Path(sys.argv[2]))\n"
-        "except spdz.errors.TapeInUse: print('in use')\n"
+        "except spdz.foundations.errors.TapeInUse: print('in use')\n"
     )
     with GalleryTape.open(path, state_dir=state), GalleryTape.open(other, state_dir=state):
         for again in (path, copy):

@@ -33,6 +33,7 @@ def words(text, *more):
         (Purpose("S10", 5, max_norm=1.0), (9, 8)),  # 72 jobs: more than a batch
         (Purpose("S10", 5, tile=(2, 3), max_norm=1.0), (5, 7)),
         (Purpose("S6", 5, tile=(3, 2), reveal="score"), (4, 4)),
+        (Purpose("S10", 4, tile=(1, 3), max_norm=2.0**13), (3, 4)),  # words of 63 bits, and elements
         (Purpose("S2", 4, tile=(2, 2), max_norm=1.0), (4, 3)),
         (Purpose("S4", 4, tile=(1, 3), max_norm=1.0), (2, 3)),
         (Purpose("S7", 4, tile=(2, 1), max_norm=1.0), (3, 2)),
@@ -57,9 +58,11 @@ def test_jobs_bytes_and_rounds_are_what_the_plan_says(tmp_path, purpose, maps, s
     assert [matches.stats.rounds for matches in done] == [foreseen.rounds] * 2
 
 
-def test_both_kinds_of_masks_and_several_batches_were_among_these():
-    short = plan_tile(AGENTS, Purpose("S10", 5, max_norm=1.0), 72, (9, 8), "semi-honest")
-    long = plan_tile(AGENTS, Purpose("S10", 5), 72, (9, 8), "semi-honest")
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_both_kinds_of_masks_and_several_batches_were_among_these(security):
+    """Words of 50 bits, 7 bytes, and elements of 16."""
+    short = plan_tile(AGENTS, Purpose("S10", 5, max_norm=1.0), 72, (9, 8), security)
+    long = plan_tile(AGENTS, Purpose("S10", 5), 72, (9, 8), security)
     assert short.bytes_sent[0] == long.bytes_sent[0] - 72 * 5 * (16 - 7)
     assert short.together == batching.MOST_JOBS < short.jobs
 
@@ -185,7 +188,12 @@ def test_bad_words_are_refused_with_status_2_and_as_json(tmp_path, capsys, monke
 
 
 def test_scores_go_by_either_name_in_any_case():
-    assert [options.score(name) for name in ("S10", "s10", "dotprod", "L2_DIST")] == ["S10", "S10", "S10", "S4"]
+    assert [options.score(name) for name in ("S10", "s10", "dotprod", "L2_DIST")] == [
+        "S10",
+        "S10",
+        "S10",
+        "S4",
+    ]
     assert isinstance(cli.parser(), CommandParser)
 
 

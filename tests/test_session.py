@@ -312,7 +312,7 @@ def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, monkeypatch):
     def work(session):
         session.reserve(2)
         with monkeypatch.context() as patch:
-            patch.setattr("spdz.session.session.os.getpid", lambda: -1)
+            patch.setattr("spdz.session.lifecycle.os.getpid", lambda: -1)
             with pytest.raises(TapeInUse, match="after the fork"):
                 session.run(S10, OWN[session.party])
         return True

@@ -39,12 +39,14 @@ class GalleryPlan:
     Attributes:
         slots: A slot of party 0, a slot of party 1.
         pair: A pair.
+        bits: Whether the results are bits.
         recipe: Hex fingerprint of what must be dealt.
         text: Hex fingerprint of the program with its public constants.
     """
 
     slots: tuple[RecordPlan, RecordPlan]
     pair: RecordPlan
+    bits: bool
     recipe: str
     text: str
 
@@ -81,6 +83,7 @@ def _measure(terms: Terms, rows: int, columns: int) -> GalleryPlan:
     return GalleryPlan(
         (first, second),
         _plan(pairs, rows * columns),
+        pairs.opened_bits,
         _digest("recipe", kind, symbols),
         _digest("text", kind, symbols),
     )

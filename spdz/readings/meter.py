@@ -71,6 +71,7 @@ class Meter(Recipe):
         self.pad_bytes, self.correction_bytes = [0, 0], [0, 0]
         self.elements_sent = [0, 0]
         self.rounds = self.openings = 0
+        self.opened_bits = False
         self.correlations: Counter[str] = Counter()
         self.trace: list[Symbol] = []
         self._unchecked = False
@@ -214,6 +215,7 @@ class Meter(Recipe):
 
     async def opening_bits(self, bits: int) -> None:
         """Count one round."""
+        self.opened_bits = True
         self._unchecked = self.malicious
         await self.round((0, 0))
 

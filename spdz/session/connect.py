@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from spdz.channels import Channel, tcp, tls
 from spdz.channels.addresses import parse_address
 from spdz.channels.credentials import check_credentials
 from spdz.channels.telling import ignore
+from spdz.foundations.types import IntArray
+from spdz.gallery.ledger import Ledger
+from spdz.gallery.tape import GalleryTape
+from spdz.readings.gallery import Terms
+from spdz.session.gallery import GallerySession
 from spdz.session.session import Session
 from spdz.tape import Tape
+from spdz.tape.header import Header
 
 
 def open_session(
@@ -51,19 +58,98 @@ def open_session(
     path = Path(tape)
     opened = Tape.open(path, state_dir=None if state_dir is None else Path(state_dir))
     try:
-        own = path.parent if credentials is None else Path(credentials)
-        if insecure:
-            reach = tcp.connect if listen is None else tcp.listen
-            channel: Channel = reach(listen or connect or "", timeout=timeout, wait=wait, on_event=on_event)
-        else:
-            check_credentials(own, opened.header.name)
-            meet = tls.connect if listen is None else tls.listen
-            peer = opened.header.peer
-            channel = meet(listen or connect or "", own, peer, timeout=timeout, wait=wait, on_event=on_event)
+        channel = reach_peer(
+            opened.header,
+            path.parent if credentials is None else Path(credentials),
+            listen=listen,
+            connect=connect,
+            insecure=insecure,
+            wait=wait,
+            timeout=timeout,
+            on_event=on_event,
+        )
     except BaseException:
         opened.close()
         raise
     return Session(opened, channel)
+
+
+def open_gallery(
+    tape: str | Path,
+    terms: Terms,
+    *,
+    waiting: list[IntArray] | None = None,
+    listen: str | None = None,
+    connect: str | None = None,
+    credentials: str | Path | None = None,
+    insecure: bool = False,
+    wait: float = 60.0,
+    timeout: float = 30.0,
+    state_dir: str | Path | None = None,
+    on_event: Callable[[str], None] = ignore,
+) -> GallerySession:
+    """Open a gallery and connect to the peer that it was dealt for; arguments as for :func:`open_session`.
+
+    Args:
+        tape: This robot's gallery tape for that peer. What it was used for is kept beside it, in a file of
+            the same name that ends in ``.ledger``.
+        terms: What the tape was dealt for, with the threshold.
+        waiting: As for :class:`GallerySession`.
+        listen: As for a session.
+        connect: As for a session.
+        credentials: As for a session.
+        insecure: As for a session.
+        wait: As for a session.
+        timeout: As for a session.
+        state_dir: As for a session.
+        on_event: As for a session.
+
+    Raises:
+        ValueError: as :func:`open_session`.
+        TapeError: if tape or ledger are damaged, in use, destroyed, or do not match the peer's.
+        ChannelError: as :func:`open_session`.
+    """
+    check_where(listen, connect, wait, timeout)
+    path, state = Path(tape), None if state_dir is None else Path(state_dir)
+    with ExitStack() as resources:
+        opened = resources.enter_context(GalleryTape.open(path, state_dir=state))
+        header = opened.header
+        ledger = resources.enter_context(
+            Ledger.open(path.with_suffix(".ledger"), header.tape, header.party, state_dir=state)
+        )
+        channel = reach_peer(
+            header,
+            path.parent if credentials is None else Path(credentials),
+            listen=listen,
+            connect=connect,
+            insecure=insecure,
+            wait=wait,
+            timeout=timeout,
+            on_event=on_event,
+        )
+        resources.pop_all()
+    return GallerySession(opened, ledger, channel, terms, waiting)
+
+
+def reach_peer(
+    header: Header,
+    credentials: Path,
+    *,
+    listen: str | None,
+    connect: str | None,
+    insecure: bool,
+    wait: float,
+    timeout: float,
+    on_event: Callable[[str], None],
+) -> Channel:
+    """Connect to the peer of a tape, whose header names both robots."""
+    where, events = listen or connect or "", {"timeout": timeout, "wait": wait, "on_event": on_event}
+    if insecure:
+        reach = tcp.connect if listen is None else tcp.listen
+        return reach(where, **events)  # type: ignore[arg-type]
+    check_credentials(credentials, header.name)
+    meet = tls.connect if listen is None else tls.listen
+    return meet(where, credentials, header.peer, **events)  # type: ignore[arg-type]
 
 
 def check_where(listen: str | None, connect: str | None, wait: float, timeout: float) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.gallery.format import GalleryHeader
 from spdz.tape import Tape
 
 PROTOCOL_VERSION = 1
@@ -50,6 +51,24 @@ class Hello:
             dict(header.program),
             header.jobs,
             tape.cursor,
+            secrets.token_hex(16),
+        )
+
+    @classmethod
+    def of_gallery(cls, header: GalleryHeader) -> Hello:
+        """What this side says of its gallery: its pairs are its jobs, and there is no cursor."""
+        pairs = header.capacity[0] * header.capacity[1]
+        return cls(
+            PROTOCOL_VERSION,
+            header.mission,
+            header.tape,
+            header.agents,
+            header.party,
+            header.security,
+            header.fingerprint,
+            {**header.program, "slots": list(header.slots)},
+            pairs,
+            0,
             secrets.token_hex(16),
         )
 

@@ -11,25 +11,19 @@ it had reserved stays burnt. After a failed MAC check its tape is destroyed as w
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 import numpy.typing as npt
 
 from spdz.channels import Channel, FrameKind
-from spdz.channels.frames import MAX_FRAME, abort_reason
+from spdz.channels.frames import MAX_FRAME
 from spdz.foundations.errors import (
-    ChannelClosed,
-    MacCheckFailed,
-    PeerAborted,
     TapeError,
     TapeExhausted,
-    TapeInUse,
     TapeMismatch,
 )
 from spdz.foundations.stats import Stats
@@ -45,7 +39,7 @@ from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.session.agreement import Agreement
 from spdz.session.driver import run_channel
 from spdz.session.handshake import Hello, compare, session_id
-from spdz.session.turn import Turn
+from spdz.session.lifecycle import Lifecycle
 from spdz.tape import Tape, TapeHeader
 
 
@@ -62,7 +56,7 @@ class Result:
     stats: Stats
 
 
-class Session:
+class Session(Lifecycle):
     """One party of a pair, connected to the other.
 
     Args:
@@ -75,13 +69,11 @@ class Session:
     """
 
     def __init__(self, tape: Tape, channel: Channel) -> None:
-        self._tape, self._channel = tape, channel
-        self._dead: str | None = None
+        super().__init__(channel, "session")
+        self._tape = tape
         self._left = tape.remaining
         self._reserved: deque[tuple[int, JobStream]] = deque()
         self._plans = Plans(self.shapes, tape.header.security)
-        self._process = os.getpid()
-        self._turn = Turn("session")
         with self._guard():
             own = Hello.of(tape)
             peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
@@ -96,21 +88,6 @@ class Session:
     def __repr__(self) -> str:
         state = f"dead ({self._dead})" if self._dead else f"{self.remaining} jobs left"
         return f"<session of {self.header.name} with {self.header.peer}: {state}>"
-
-    def __enter__(self) -> Session:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is not None:
-            self.abandon(error)
-        self.close()
-
-    def abandon(self, error: BaseException) -> None:
-        """End the session because of an error of this side's own; the peer is told that this side stopped."""
-        if self._dead is None:
-            self._die(error)
 
     @property
     def header(self) -> TapeHeader:
@@ -244,66 +221,16 @@ class Session:
 
     # -- ending --------------------------------------------------------------------------------------
 
-    def close(self) -> None:
-        """Close connection and tape; safe to call twice. In a fork nothing is written anywhere."""
-        if self._dead is None:
-            self._dead = "closed"
-            with suppress(TapeError):
-                self._left = self._tape.remaining
-        try:
-            self._channel.close()
-        finally:
-            self._tape.close()
+    def _note_end(self) -> None:
+        with suppress(TapeError):
+            self._left = self._tape.remaining
 
-    def _require_alive(self) -> None:
-        if os.getpid() != self._process:
-            raise TapeInUse("this session belongs to the process that opened it: open one after the fork")
-        if self._dead is not None:
-            raise ChannelClosed(f"this session has ended ({self._dead}); open a new one")
+    def _destroy(self) -> None:
+        self._left = 0
+        self._tape.destroy()
 
-    def _guard(self) -> _Guard:
-        self._require_alive()
-        return _Guard(self)
-
-    def _die(self, error: BaseException) -> None:
-        """Tell the peer why, close everything, and destroy the tape if the peer cheated.
-
-        In a fork only the descriptors are closed: tape, connection and TLS keys are the parent's.
-        """
-        if os.getpid() != self._process:
-            self.close()
-            return
-        if self._dead is None:
-            self._dead = type(error).__name__
-            with suppress(TapeError):
-                self._left = self._tape.remaining
-        try:
-            if isinstance(error, MacCheckFailed):
-                self._left = 0
-                self._tape.destroy()
-        finally:
-            if not isinstance(error, PeerAborted):
-                self._channel.abort(abort_reason(error))
-            self.close()
-
-
-class _Guard:
-    """A turn in which whatever goes wrong kills the session."""
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
-    def __enter__(self) -> None:
-        self._session._turn.__enter__()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if error is not None:
-                self._session._die(error)
-        finally:
-            self._session._turn.__exit__()
+    def _release(self) -> None:
+        self._tape.close()
 
 
 async def _all(lanes: Sequence[Any]) -> list[Any]:

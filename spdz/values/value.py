@@ -111,10 +111,7 @@ class Value(Secret):
 
     @property
     def undecided(self) -> bool:
-        """Whether this is a comparison that nothing has used yet, so that nothing is dealt for it yet.
-
-        Only opening it tells how it is dealt best (:mod:`spdz.gates.signs`); any other use decides it.
-        """
+        """Whether this is a comparison that nothing has used yet, and for which nothing is dealt yet."""
         return self.sign_of is not None and callable(self._parts)
 
     def decide(self) -> None:
@@ -222,8 +219,8 @@ class Value(Secret):
         if not all(one is None or one is Ellipsis or type(one) in (int, slice) for one in keys):
             raise TypeError("a value is indexed by integers, slices, None and ... only")
         shape = np.broadcast_to(np.False_, self.shape)[keys].shape
-        # Leading integers and slices leave the last axis as it is, or cut it.
-        kept = len(keys) < self.ndim and all(type(one) in (int, slice) for one in keys)
+        # With fewer keys than axes, and no dots that stand for some, the last axis stays as it is.
+        kept = Ellipsis not in keys and sum(one is not None for one in keys) < self.ndim
         bound = self.bound if kept else Bound.of_entry(self.bound.entry, shape)
         result = self._map(lambda part: self.engine.ring.index(part, keys), shape, bound)
         result.is_bit = self.is_bit
@@ -253,7 +250,7 @@ class Value(Secret):
         shape = np.broadcast_shapes(self.shape, np.shape(raw))
         bound = self.bound.broadcast(self.shape, shape).scaled(magnitude(raw))
         scaled = self._map(lambda part: self.engine.ring.scale(part, raw), shape, bound, frac)
-        scaled.span *= magnitude(raw)
+        scaled.span *= max(1, magnitude(raw))
         if not np.all(raw) and not self.span:
             scaled.mask_bits = 0  # where a factor is 0, so is the mask
         return scaled
@@ -296,7 +293,7 @@ def concatenate(*values: Value) -> Value:
         None if all(part is None for part in column) else engine.ring.concatenate(column, shapes)
         for column in zip(*(value.parts for value in values), strict=True)
     )
-    norms = [value.bound.norm for value in values]
+    norms, small = [value.bound.norm for value in values], {value.span > 0 for value in values}
     bound = Bound(max(v.bound.entry for v in values), sum(norms) if values[0].ndim == 1 else max(norms))
     return Value(
         engine,
@@ -305,8 +302,8 @@ def concatenate(*values: Value) -> Value:
         frac,
         bound,
         masked=values[0].masked,
-        mask_bits=min(value.mask_bits for value in values),
-        span=max(value.span for value in values) if all(value.span for value in values) else 0,
+        mask_bits=0 if len(small) > 1 else min(value.mask_bits for value in values),
+        span=max(value.span for value in values) if small == {True} else 0,
     )
 
 

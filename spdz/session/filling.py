@@ -1,0 +1,174 @@
+"""New slots of a gallery: masked, made durable, sent, and kept at the other side.
+
+What is sent for a slot is in the ledger first; what comes is checked and in the ledger before anything is
+computed with it. A slot whose words would tell something of the vector (:mod:`spdz.values.input_mask`) is
+told as void, and the vector takes the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spdz.channels import Channel, FrameKind
+from spdz.channels.frames import HEADER_BYTES
+from spdz.foundations.errors import OutOfStep, ProtocolViolation, TapeExhausted
+from spdz.foundations.types import IntArray, Json
+from spdz.gallery.ledger import Ledger
+from spdz.gallery.tape import GalleryTape
+from spdz.readings.gallery import Terms
+from spdz.session.agreement import Agreement
+from spdz.session.handshake import shown
+from spdz.session.meeting import MOST
+from spdz.session.shelf import Shelf
+from spdz.session.strips import Step
+from spdz.values.input_mask import element_bytes, inside, pack, unpack
+
+_BYTES = 32 << 20
+"""Most bytes of words sent at a time."""
+
+Entry = tuple[int, bytes | None]
+"""A slot, and its words; None where it is void."""
+
+
+@dataclass(slots=True)
+class Filling:
+    """The side of a gallery session that fills slots.
+
+    Attributes:
+        tape: The gallery's tape.
+        terms: What it is for.
+        ledger: What was filled.
+        shelves: The slots of party 0 and of party 1.
+        channel: The connection.
+        waiting: Quantised descriptors that the next step brings.
+        sent: Own slots that the peer has.
+    """
+
+    tape: GalleryTape
+    terms: Terms
+    ledger: Ledger
+    shelves: tuple[Shelf, Shelf]
+    channel: Channel
+    waiting: list[IntArray]
+    sent: int = 0
+
+    @property
+    def party(self) -> int:
+        """0 or 1."""
+        return int(self.tape.header.party)
+
+    @property
+    def room(self) -> int:
+        """Own slots that are neither used nor waited for."""
+        capacity = self.tape.header.capacity[self.party]
+        return capacity - self.ledger.slots[self.party].filled - len(self.waiting)
+
+    def refuse_more_than(self, room: int, wanted: int) -> None:
+        """Raise :class:`TapeExhausted` where more is wanted than there is room for."""
+        if wanted > room:
+            header = self.tape.header
+            raise TapeExhausted(
+                f"this gallery has {header.capacity[self.party]} slots for {header.name}: {max(0, room)} are "
+                f"free and {wanted} are needed. Nothing was used. Deal more: {header.dealer_command}"
+            )
+
+    def exchange(self, agreement: Agreement, step: Step) -> bool:
+        """Tell, fill, send and keep the new slots of both sides.
+
+        Returns:
+            Whether either side has more to bring.
+        """
+        own, peer = self.ledger.slots[self.party], self.ledger.slots[1 - self.party]
+        entries, taken = self._masked(max(1, min(MOST, _BYTES // self._size)))
+        unsent = list(enumerate(own.eps(self.sent, own.filled), self.sent))
+        told = [*unsent, *entries]
+        offer: dict[str, Json] = {
+            "from": self.sent,
+            "slots": len(told),
+            "void": [i for i, (_, words) in enumerate(told) if words is None],
+            "more": len(self.waiting) > taken,
+        }
+        answer = agreement.control(offer, *offer)
+        count, void = self._read_offer(answer, peer.filled)
+        own.fill(entries)
+        del self.waiting[:taken]
+        step.own += [slot for slot, words in entries if words is not None]
+        frames = [words for _, words in told if words is not None]
+        reply = self.channel.exchange(FrameKind.DATA, frames, self._size * (count - len(void)))
+        step.stats.rounds += 1
+        step.stats.bytes_sent += HEADER_BYTES + sum(map(len, frames))
+        received = self._received(peer.filled, count, void, reply)
+        self.place(1 - self.party, received)  # refuses bad words before they are kept
+        peer.fill(received)
+        self.place(self.party, entries)
+        step.peer += [slot for slot, words in received if words is not None]
+        self.sent = own.filled
+        return bool(self.waiting) or bool(answer["more"])
+
+    def place(self, owner: int, entries: Sequence[Entry]) -> None:
+        """Put words on the shelf.
+
+        Raises:
+            ProtocolViolation: if some lie outside the interval of honest words.
+        """
+        held = [(slot, words) for slot, words in entries if words is not None]
+        if held:
+            terms = self.terms
+            raw = b"".join(words for _, words in held)
+            words = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            self.shelves[owner].place([slot for slot, _ in held], words)
+
+    @property
+    def _size(self) -> int:
+        return self.terms.dim * element_bytes(self.terms.word_bits)
+
+    def _masked(self, limit: int) -> tuple[list[Entry], int]:
+        """Words for what waits, in the next own slots, and how many descriptors they are."""
+        own, shelf, terms = self.ledger.slots[self.party], self.shelves[self.party], self.terms
+        entries: list[Entry] = []
+        slot, done = own.filled, 0
+        while (waiting := len(self.waiting) - done) and len(entries) < limit:
+            count = min(waiting, limit - len(entries), shelf.capacity - slot)
+            if not count:
+                self.refuse_more_than(0, waiting)
+            words = np.stack(self.waiting[done : done + count]) + shelf.masks(range(slot, slot + count))
+            good = inside(words, terms.word_bits, terms.norm).all(axis=1)
+            stop = count if good.all() else int(np.argmin(good))
+            packed = pack(words[:stop], terms.word_bits).reshape(stop, self._size)
+            entries += [(slot + i, packed[i].tobytes()) for i in range(stop)]
+            if stop < count:
+                entries.append((slot + stop, None))
+            slot, done = own.filled + len(entries), done + stop
+        return entries, done
+
+    def _read_offer(self, answer: dict[str, Any], filled: int) -> tuple[int, set[int]]:
+        """How many slots come, and which of them are void."""
+        count, void = answer["slots"], answer["void"]
+        capacity = self.tape.header.capacity[1 - self.party]
+        well_formed = (
+            type(count) is int
+            and type(answer["more"]) is bool
+            and 0 <= count <= min(2 * MOST + 1, capacity - filled)
+            and isinstance(void, list)
+            and all(type(one) is int and 0 <= one < count for one in void)
+        )
+        if not well_formed:
+            raise ProtocolViolation("the peer's offer of slots is malformed, or more than its gallery holds")
+        if answer["from"] != filled:
+            raise OutOfStep(f"the peer sends slots from {shown(answer['from'], 8)} on, and {filled} are here")
+        return count, set(void)
+
+    def _received(self, first: int, count: int, void: set[int], reply: Any) -> list[Entry]:
+        received: list[Entry] = []
+        start = 0
+        for i in range(count):
+            words = None
+            if i not in void:
+                words = bytes(reply[start : start + self._size])
+                start += self._size
+            received.append((first + i, words))
+        return received

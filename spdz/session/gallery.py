@@ -1,0 +1,328 @@
+"""A gallery on one connection: both sides bring what is new, and all pairs that are new are compared.
+
+::
+
+    gallery.add(descriptors)              # at any time, by either side; also nothing
+    for block in gallery.step().blocks:   # both sides call it equally often
+        ...
+
+A step (specification, section on galleries): fill new slots (:mod:`spdz.session.filling`); agree on all that
+both hold; prepare the new slots and prove their norms; then compare strip by strip. A strip's results are
+durable before the caller sees them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spdz.channels import Channel, FrameKind
+from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.foundations.stats import Stats
+from spdz.foundations.types import IntArray, Json
+from spdz.gallery.ledger import Ledger
+from spdz.gallery.strip import Strip, between
+from spdz.gallery.tape import GalleryTape
+from spdz.readings.gallery import Terms, compare
+from spdz.readings.party import Party
+from spdz.rounds.coroutine import parallel
+from spdz.rounds.mac_check import drive
+from spdz.session import handshake
+from spdz.session.admission import checked_plan, quantised
+from spdz.session.agreement import Agreement
+from spdz.session.driver import run_channel
+from spdz.session.filling import Filling
+from spdz.session.lifecycle import Lifecycle
+from spdz.session.meeting import Standpoint, meet
+from spdz.session.pairs import read_pairs
+from spdz.session.shelf import Shelf, configured
+from spdz.session.strips import (
+    Block,
+    Cell,
+    Step,
+    cells,
+    decode_results,
+    encode_results,
+    oriented,
+    pieces,
+    within,
+)
+
+STRIP_PAIRS = 1 << 16
+"""Most pairs of a strip, unless it is one row or column."""
+
+_CELL_BYTES = 64 << 20
+"""Most stored bytes of the pairs that are compared at a time."""
+
+_PREPARED = 128
+"""Slots prepared at a time."""
+
+
+class GallerySession(Lifecycle):
+    """One party of a gallery, connected to the other.
+
+    Args:
+        tape: This party's gallery tape, open; the session closes it.
+        ledger: The tape's ledger, open; the session closes it.
+        channel: A connected channel; the session closes it.
+        terms: What the tape was dealt for, with the threshold.
+        waiting: Quantised descriptors for the next step. What a step that is broken off has not filled is
+            left in this list.
+
+    Raises:
+        TapeMismatch: if tape, terms and peer do not belong together, or the ledgers contradict each other.
+        ProtocolViolation: if the peer's account is malformed.
+    """
+
+    def __init__(
+        self,
+        tape: GalleryTape,
+        ledger: Ledger,
+        channel: Channel,
+        terms: Terms,
+        waiting: list[IntArray] | None = None,
+    ) -> None:
+        super().__init__(channel, "gallery")
+        self._tape, self._ledger, self._terms = tape, ledger, terms
+        self._shelves = (Shelf(tape, terms, 0), Shelf(tape, terms, 1))
+        self._waiting = [] if waiting is None else waiting
+        self._filling = Filling(tape, terms, ledger, self._shelves, channel, self._waiting)
+        self._again: Strip | None = None
+        with self._guard():
+            self._plan = checked_plan(tape, terms)
+            own = handshake.Hello.of_gallery(tape.header)
+            message = channel.exchange(FrameKind.CONTROL, [own.encode()], None)
+            peer = handshake.Hello.decode(bytes(message))
+            handshake.compare(own, peer)
+            session = handshake.session_id(own, peer)
+            channel.bind(int.from_bytes(session[:4], "little"))
+            self._agreement = Agreement(channel, self.party, session, self._alpha)
+            self._meet()
+            self._restore()
+
+    def __repr__(self) -> str:
+        header = self._tape.header
+        return (
+            f"<gallery of {header.name} with {header.peer}{f': dead ({self._dead})' if self._dead else ''}>"
+        )
+
+    @property
+    def party(self) -> int:
+        """0 or 1."""
+        return int(self._tape.header.party)
+
+    @property
+    def room(self) -> int:
+        """Own slots that are neither used nor waited for."""
+        return self._filling.room
+
+    def require_room(self, more: int = 0) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for what waits and so many more descriptors."""
+        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting) + more)
+
+    def results(self) -> Iterator[Block]:
+        """All results so far, as they were committed, strip by strip."""
+        for strip, stored in self._ledger.results():
+            results = decode_results(strip, stored, bits=self._plan.bits)
+            yield oriented(self.party, (strip.rows, strip.columns, results))
+
+    def plain(self, slots: Sequence[int]) -> IntArray:
+        """The quantised descriptors in own slots, raw."""
+        return self._shelves[self.party].plain(slots)
+
+    @property
+    def filled(self) -> list[int]:
+        """Own slots that hold a descriptor."""
+        own = self._ledger.slots[self.party]
+        void = set(own.voids)
+        return [slot for slot in range(own.filled) if slot not in void]
+
+    def add(self, descriptors: npt.ArrayLike) -> None:
+        """Bring descriptors to the next step.
+
+        Args:
+            descriptors: Shape (n, N); none are legal.
+
+        Raises:
+            ValueError: for bad descriptors; nothing is consumed and the gallery lives on.
+            TapeExhausted: if there are not slots enough; nothing is consumed.
+        """
+        self._require_alive()
+        raw = quantised(self._terms, descriptors)
+        with self._turn:
+            self.require_room(len(raw))
+            self._waiting += list(raw)
+
+    def step(
+        self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
+    ) -> Step:
+        """Bring what was added, and compare all new pairs; both sides call it equally often.
+
+        Args:
+            on_block: Called with every block as soon as it is checked and durable.
+            into: A step that an earlier session has begun, to go on with.
+
+        Raises:
+            MacCheckFailed: if the peer cheated; nothing more is output, and tape and ledger are destroyed.
+            SpdzError: as any session. What was output stays true.
+        """
+        with self._guard():
+            step, more = Step() if into is None else into, True
+            while more:
+                more = self._filling.exchange(self._agreement, step)
+                self._begin()
+                self._prepare(step.stats)
+                self._compare_new(step, on_block)
+            return step
+
+    def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
+        """Swap one small public JSON object with the peer."""
+        with self._guard():
+            return self._agreement.note(note)
+
+    # -- the parts of a step -------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """Bind the checks that follow to everything that both sides hold."""
+        first, second = self._ledger.slots
+        own: dict[str, Json] = {
+            "text": self._plan.text,
+            "filled": [first.filled, second.filled],
+            "heads": [first.head(first.filled).hex(), second.head(second.filled).hex()],
+        }
+        peer = self._agreement.control(own, *own)
+        if peer != own:
+            differing = ", ".join(name for name in own if peer[name] != own[name])
+            raise TapeMismatch(
+                f"the two sides of the gallery differ in what they hold ({differing}): one of them was "
+                "restored from another copy. Deal new tapes"
+            )
+
+    def _prepare(self, stats: Stats) -> None:
+        """Prepare and prove all slots that are not ready, of both parties in the same rounds."""
+        while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
+            check, alpha = self._agreement.mac_check, self._alpha
+            parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
+            lanes = [shelf.prepare(party, slots) for (shelf, slots), party in zip(work, parties, strict=True)]
+            proved = self._run(parallel(*lanes), stats)
+            for (shelf, slots), proofs in zip(work, proved, strict=True):
+                self._refuse_unproved(shelf.owner, slots, proofs)
+            for (shelf, slots), party in zip(work, parties, strict=True):
+                self._ledger.slots[shelf.owner].note(dict(zip(slots, party.notes(len(slots)), strict=True)))
+
+    def _unready(self, owner: int) -> list[int]:
+        slots = self._ledger.slots[owner]
+        void = set(slots.voids)
+        return [slot for slot in range(slots.ready, slots.filled) if slot not in void][:_PREPARED]
+
+    def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
+        if proofs is not None and not proofs.all():
+            terms, bad = self._terms, slots[int(np.argmin(proofs))]
+            raise ProtocolViolation(
+                f"the vector in slot {bad} of {self._tape.header.agents[owner]} has not a norm between "
+                f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
+            )
+
+    def _compare_new(self, step: Step, on_block: Callable[[Block], None]) -> None:
+        if self._again is not None:
+            strip, self._again = self._again, None
+            self._run_strip(strip, step, on_block)
+        first, second = self._ledger.slots
+        for strip in between(self._ledger.done, (first.filled, second.filled)):
+            for piece in pieces(strip, min(STRIP_PAIRS, self._most_pairs)):
+                self._run_strip(piece, step, on_block)
+
+    def _run_strip(self, strip: Strip, step: Step, on_block: Callable[[Block], None]) -> None:
+        """Compare a strip, keep its results, then show them."""
+        kept = within(strip, self._ledger.done)  # the peer has missed it
+        if not kept:
+            self._ledger.pin_text(self._plan.text.encode())
+            self._ledger.begin(strip)
+        first, second = (set(slots.voids) for slots in self._ledger.slots)
+        parts = [
+            self._run_cell(rows, columns, step.stats)
+            for rows, columns in cells(strip, (first, second), self._most_pairs)
+        ]
+        if kept:
+            return
+        self._ledger.commit(strip, encode_results(strip, parts, bits=self._plan.bits))
+        for part in parts:
+            block = oriented(self.party, part)
+            step.blocks.append(block)
+            on_block(block)
+
+    @property
+    def _most_pairs(self) -> int:
+        return max(1, min(STRIP_PAIRS, _CELL_BYTES // max(1, self._tape.header.pair_correction)))
+
+    def _run_cell(self, rows: range, columns: range, stats: Stats) -> Cell:
+        stream = read_pairs(self._tape, rows, columns)
+        check, security = self._agreement.mac_check, self._terms.security
+        party = Party(self.party, security, stream, check, self._alpha, stats)
+        sides = (self._shelves[0].filled(rows), self._shelves[1].filled(columns))
+        return rows, columns, self._run(compare(configured(party, self._terms), self._terms, *sides), stats)
+
+    def _run(self, protocol: Any, stats: Stats) -> Any:
+        return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+
+    # -- meeting again -------------------------------------------------------------------------------
+
+    def _meet(self) -> None:
+        """Compare accounts, make void what either has lost, and find the strip that was broken off."""
+        own, ledger = Standpoint.of(self._ledger), self._ledger
+        text = self._plan.text
+        if ledger.text not in (None, text.encode()):
+            raise TapeMismatch(
+                "this gallery has answered another threshold, program or resolution, and its masks must "
+                "never answer two: use the same as before, or deal new tapes"
+            )
+        account = {**own.as_json(), "text": text}
+        answer = self._agreement.control(account, *account)
+        if answer["text"] != text:
+            raise TapeMismatch(
+                "the peer compares with another threshold, program or resolution: give both robots the same"
+            )
+        peer = Standpoint.read(answer, self._tape.header.capacity)
+        agreed = meet(own, peer, self.party, self._plan)
+        mine = ledger.slots[self.party]
+        mine.fill([(mine.filled + i, None) for i in range(agreed.lost)])
+        for slots, void in zip(ledger.slots, agreed.void, strict=True):
+            slots.void(void)
+        if agreed.burn is not None and not within(agreed.burn, ledger.done):
+            ledger.burn(agreed.burn)
+        self._filling.sent, self._again = agreed.send, agreed.again
+
+    def _restore(self) -> None:
+        """Read what earlier sessions have filled."""
+        for shelf in self._shelves:
+            slots = self._ledger.slots[shelf.owner]
+            for start in range(0, slots.filled, _PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
+                self._filling.place(shelf.owner, entries)
+                known = [slot for slot, words in entries if words is not None and slot < slots.ready]
+                shelf.restore(known, [slots.noted(slot) or b"" for slot in known], self._alpha)
+
+    @property
+    def _alpha(self) -> int | None:
+        malicious = self._terms.security == "malicious"
+        return int.from_bytes(self._tape.alpha, "little") if malicious else None
+
+    # -- ending --------------------------------------------------------------------------------------
+
+    def _note_end(self) -> None:
+        """The ledger remembers."""
+
+    def _destroy(self) -> None:
+        try:
+            self._tape.destroy()
+        finally:
+            self._ledger.destroy()
+
+    def _release(self) -> None:
+        try:
+            self._ledger.close()
+        finally:
+            self._tape.close()

@@ -1,0 +1,183 @@
+"""Two sides of a gallery that meet again: what both hold, what is void, and which strip goes on.
+
+Each side tells what it has filled, prepared and compared. Nothing that one side says is believed against what
+the other holds, but for what only makes slots or pairs useless: a slot that is void on one side is void on
+both, and a strip that cannot be run again is burnt on both. How far the two may differ is bounded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.foundations.types import Json
+from spdz.gallery.ledger import Ledger
+from spdz.gallery.strip import Rectangle, Strip, between, grown
+from spdz.readings.gallery_plan import GalleryPlan
+
+MOST = 4096
+"""Slots by which the two sides may differ, and void slots that one may tell: it bounds what a lie costs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standpoint:
+    """What one side says of itself.
+
+    Attributes:
+        filled: Slots used of party 0 and of party 1.
+        ready: Slots among them, from the first on, that were prepared.
+        void: Slots that hold nothing, of party 0 and of party 1.
+        done: The rectangle of pairs that were compared.
+        flight: The strip that was begun.
+    """
+
+    filled: tuple[int, int]
+    ready: tuple[int, int]
+    void: tuple[list[int], list[int]]
+    done: Rectangle
+    flight: Strip | None
+
+    @classmethod
+    def of(cls, ledger: Ledger) -> Standpoint:
+        """This side's."""
+        first, second = ledger.slots
+        return cls(
+            (first.filled, second.filled),
+            (first.ready, second.ready),
+            (first.voids, second.voids),
+            ledger.done,
+            ledger.flight,
+        )
+
+    def as_json(self) -> dict[str, Json]:
+        """For a control message."""
+        flight = self.flight
+        return {
+            "filled": list(self.filled),
+            "ready": list(self.ready),
+            "void": [list(self.void[0]), list(self.void[1])],
+            "done": list(self.done),
+            "flight": None
+            if flight is None
+            else [flight.rows.start, flight.rows.stop, flight.columns.start, flight.columns.stop],
+        }
+
+    @classmethod
+    def read(cls, fields: Mapping[str, Any], capacity: tuple[int, int]) -> Standpoint:
+        """The peer's, which may be anything.
+
+        Raises:
+            ProtocolViolation: if it is not well-formed.
+        """
+        try:
+            filled, prepared, done = (_pair(fields[name], capacity) for name in ("filled", "ready", "done"))
+            void = (_slots(fields["void"][0], filled[0]), _slots(fields["void"][1], filled[1]))
+            flight = fields["flight"]
+            strip = None
+            if flight is not None:
+                a, b, c, d = (_whole(number, max(capacity)) for number in flight)
+                strip = Strip(range(a, b), range(c, d))
+                grown(done, strip)
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            raise ProtocolViolation(f"the peer's account of its gallery is malformed ({error})") from None
+        return cls(filled, prepared, void, done, strip)
+
+
+def _pair(value: Any, most: Sequence[int]) -> tuple[int, int]:
+    first, second = value
+    return _whole(first, most[0]), _whole(second, most[1])
+
+
+def _whole(number: Any, most: int) -> int:
+    if type(number) is not int or not 0 <= number <= most:
+        raise ValueError(f"a number of slots lies between 0 and {most}")
+    return number
+
+
+def _slots(value: Any, filled: int) -> list[int]:
+    slots = [_whole(number, filled) for number in value]
+    if len(slots) > MOST or sorted(set(slots)) != slots:
+        raise ValueError("void slots are told once each, in order, and not too many")
+    return slots
+
+
+@dataclass(frozen=True, slots=True)
+class Agreed:
+    """What follows for this side.
+
+    Attributes:
+        void: Slots that are void from now on, of party 0 and of party 1, as far as they are filled here.
+        lost: Own slots that the peer has and this side has not: they are used and void.
+        send: The first own slot that the peer has not.
+        again: A strip to run first, which one side may have finished.
+        burn: A strip that cannot be run again.
+    """
+
+    void: tuple[list[int], list[int]]
+    lost: int
+    send: int
+    again: Strip | None
+    burn: Strip | None
+
+
+def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Agreed:
+    """Compare both sides' accounts.
+
+    Args:
+        own: This side's.
+        peer: The peer's.
+        party: This side's number.
+        plan: The program's. With one opening before the first check every share is the same when it is
+            run again; with more, what was begun and not finished is given up.
+
+    Raises:
+        TapeMismatch: if they differ by more than one step of an honest run.
+    """
+    for owner in (0, 1):
+        if abs(own.filled[owner] - peer.filled[owner]) > MOST:
+            raise TapeMismatch(
+                f"this side knows {own.filled[owner]} slots of party {owner} as filled and the peer "
+                f"{peer.filled[owner]}: one of the galleries was restored from an old copy. Deal new tapes"
+            )
+    missing = peer.filled[party] - own.filled[party]
+    # What the peer has forgotten of its own slots is used and void on both sides.
+    forgotten = range(peer.filled[1 - party], own.filled[1 - party])
+    void = [set(own.void[owner]) | set(peer.void[owner]) for owner in (0, 1)]
+    void[1 - party] |= set(forgotten)
+    for i in (0, 1):
+        if plan.slots[i].openings > 1:  # half prepared
+            void[i] |= set(range(min(own.ready[i], peer.ready[i]), min(own.filled[i], peer.filled[i])))
+    first, second = (sorted(slot for slot in void[i] if slot < own.filled[i]) for i in (0, 1))
+    return Agreed(
+        (first, second),
+        max(0, missing),
+        peer.filled[party],
+        *_strips(own, peer, plan.pair.openings <= 1),
+    )
+
+
+def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[Strip | None, Strip | None]:
+    """The strip to run again, and the one to burn."""
+    if own.done == peer.done:
+        flights = {own.flight, peer.flight} - {None}
+        if len(flights) > 1:
+            raise TapeMismatch("the two galleries are in different strips: deal new tapes")
+        strip = flights.pop() if flights else None
+    else:
+        behind, ahead = (own, peer) if own.done <= peer.done else (peer, own)
+        try:
+            strips = between(behind.done, ahead.done)
+        except ValueError:
+            strips = []
+        if len(strips) != 1 or behind.flight not in (None, strips[0]) or ahead.flight is not None:
+            raise TapeMismatch(
+                f"this side has compared {own.done[0]} x {own.done[1]} slots and the peer "
+                f"{peer.done[0]} x {peer.done[1]}: one of the galleries was restored from an old copy. "
+                "Deal new tapes"
+            )
+        strip = strips[0]
+        if behind.flight is None:  # it has given the strip up: the peer's results are all there will be
+            return None, strip
+    return (strip, None) if repeatable else (None, strip)
