@@ -54,7 +54,7 @@ from spdz.session.strips import (
 STRIP_PAIRS = 1 << 16
 """Most pairs of a strip, unless it is one row or column."""
 
-_CELL_BYTES = 64 << 20
+CELL_BYTES = 64 << 20
 """Most stored bytes of the pairs that are compared at a time."""
 
 _PREPARED = 128
@@ -259,7 +259,7 @@ class GallerySession(Lifecycle):
 
     @property
     def _most_pairs(self) -> int:
-        return max(1, min(STRIP_PAIRS, _CELL_BYTES // max(1, self._tape.header.pair_correction)))
+        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, self._tape.header.pair_correction)))
 
     def _run_cell(self, rows: range, columns: range, stats: Stats) -> Cell:
         stream = read_pairs(self._tape, rows, columns)

@@ -218,8 +218,8 @@ class Value(Secret):
         if not all(one is None or one is Ellipsis or type(one) in (int, slice) for one in keys):
             raise TypeError("a value is indexed by integers, slices, None and ... only")
         shape = np.broadcast_to(np.False_, self.shape)[keys].shape
-        # Leading integers and slices leave the last axis as it is, or cut it.
-        kept = len(keys) < self.ndim and all(type(one) in (int, slice) for one in keys)
+        # With fewer keys than axes, and no dots that stand for some, the last axis stays as it is.
+        kept = Ellipsis not in keys and sum(one is not None for one in keys) < self.ndim
         bound = self.bound if kept else Bound.of_entry(self.bound.entry, shape)
         result = self._map(lambda part: self.engine.ring.index(part, keys), shape, bound)
         result.is_bit = self.is_bit
