@@ -24,7 +24,7 @@ from spdz.gallery.format import BAND, GalleryHeader
 from spdz.gallery.writer import GalleryWriter
 from spdz.readings.gallery import Derived, Filled, Terms, compare, fill
 from spdz.readings.gallery_plan import GalleryPlan, measure_gallery
-from spdz.readings.records import TilePart, pair_stream, slot_stream
+from spdz.readings.records import Octets, TilePart, pair_stream, slot_stream
 from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import run_silently
 from spdz.values.engine import Input
@@ -32,20 +32,21 @@ from spdz.values.input_mask import field_offsets
 from spdz.values.value import Value, concatenate
 
 _DELTA = 16
-_SLOTS = 64
+SLOTS_TOGETHER = 64
 """Slots dealt at a time."""
-_TILES_BYTES = 8 << 20
+TILES_BYTES = 8 << 20
 """Stored bytes of tiles dealt at a time, and the most that a tile should have."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Keys:
+class BandKeys:
     """Both parties' band keys: ``of[party][owner][band]``."""
 
     of: tuple[tuple[list[bytes], list[bytes]], tuple[list[bytes], list[bytes]]]
 
     @classmethod
-    def fresh(cls, counts: tuple[int, int]) -> _Keys:
+    def fresh(cls, counts: tuple[int, int]) -> BandKeys:
+        """Random keys for so many row and column bands."""
         first, second = (
             (
                 [secrets.token_bytes(keys.KEY_BYTES) for _ in range(counts[0])],
@@ -68,7 +69,7 @@ def gallery_headers(
 ) -> tuple[GalleryHeader, GalleryHeader]:
     """Both parties' headers."""
     pair = max(plan.pair.correction_bytes)
-    band = next((size for size in (16, 8, 4, 2) if size * size * pair <= _TILES_BYTES), 1)
+    band = next((size for size in (16, 8, 4, 2) if size * size * pair <= TILES_BYTES), 1)
     first, second = (
         GalleryHeader(
             mission=mission,
@@ -121,7 +122,7 @@ def deal_gallery(
         plan, terms, agents, slots, mission=mission, tape=tape, description=description or {}
     )
     mac_key = random_mac_key() if terms.security == "malicious" else None
-    bands = _Keys.fresh(headers[0].bands.counts)
+    bands = BandKeys.fresh(headers[0].bands.counts)
     with ExitStack() as stack:
         writers = []
         for party in (0, 1):
@@ -166,9 +167,9 @@ class GalleryDealing:
         """Deal all slots of one party: their numbers and both parties' corrections."""
         count = self._headers[0].capacity[owner]
         offsets, derived = [], []
-        for start in range(0, count, _SLOTS):
-            numbers = range(start, min(start + _SLOTS, count))
-            streams = (self._slot_stream(0, owner, numbers), self._slot_stream(1, owner, numbers))
+        for start in range(0, count, SLOTS_TOGETHER):
+            numbers = range(start, min(start + SLOTS_TOGETHER, count))
+            streams = (self.slot_stream(0, owner, numbers), self.slot_stream(1, owner, numbers))
             job, outlet = self._job(streams)
             shape = (len(numbers), self._terms.dim)
             masked = job.input_mask(Input(owner, shape, self._terms.norm))
@@ -185,7 +186,7 @@ class GalleryDealing:
         """Deal all tiles: row band, column band and both parties' corrections."""
         sizes, counts = self._headers[0].bands
         bytes_each = sizes[0] * sizes[1] * max(header.pair_correction for header in self._headers)
-        group = max(1, _TILES_BYTES // max(1, bytes_each))
+        group = max(1, TILES_BYTES // max(1, bytes_each))
         for row_band in range(counts[0]):
             for start in range(0, counts[1], group):
                 columns = range(start, min(start + group, counts[1]))
@@ -199,7 +200,7 @@ class GalleryDealing:
         sizes, _ = self._headers[0].bands
         rows = slice(row_band * sizes[0], (row_band + 1) * sizes[0])
         columns = slice(column_bands.start * sizes[1], column_bands.stop * sizes[1])
-        streams = (self._pair_stream(0, row_band, column_bands), self._pair_stream(1, row_band, column_bands))
+        streams = (self.pair_stream(0, row_band, column_bands), self.pair_stream(1, row_band, column_bands))
         job, outlet = self._job(streams)
         sides = (self._filled(job, 0, rows), self._filled(job, 1, columns))
         run_silently(compare(job, self._terms, *sides))
@@ -219,7 +220,10 @@ class GalleryDealing:
             standing, derived, len(offsets), lambda: standing.parts(malicious=job.malicious, dealt=True)
         )
 
-    def _slot_stream(self, party: int, owner: int, numbers: range) -> RecordStream:
+    def slot_stream(
+        self, party: int, owner: int, numbers: range, corrections: Octets | None = None
+    ) -> RecordStream:
+        """What a party draws for slots: its pads, and corrections (n, bytes) where they are dealt already."""
         header, size = self._headers[party], self._headers[party].bands.sizes[owner]
         pads = np.stack(
             [
@@ -230,18 +234,23 @@ class GalleryDealing:
             ]
         )
         deltas = np.ascontiguousarray(pads[:, :_DELTA]).view("<u8")
-        nothing = np.empty((len(numbers), 0), dtype=np.uint8)
+        if corrections is None:
+            corrections = np.empty((len(numbers), 0), dtype=np.uint8)
         hash_keys = [keys.slot_hash_key(header.tape, owner, i) for i in numbers]
-        return slot_stream(pads[:, _DELTA:], nothing, deltas, hash_keys)
+        return slot_stream(pads[:, _DELTA:], corrections, deltas, hash_keys)
 
-    def _pair_stream(self, party: int, row_band: int, column_bands: range) -> RecordStream:
+    def pair_stream(
+        self, party: int, row_band: int, column_bands: range, corrections: Octets | None = None
+    ) -> RecordStream:
+        """The same for all pairs of a row band and of column bands; corrections (rows, columns, bytes)."""
         header, (rows, columns) = self._headers[party], self._headers[party].bands.sizes
+        if corrections is None:
+            corrections = np.empty((rows, len(column_bands) * columns, 0), dtype=np.uint8)
         parts = []
-        nothing = np.empty((rows, columns, 0), dtype=np.uint8)
         for at, band in enumerate(column_bands):
             tile = keys.tile_keys(self._bands[party][0][row_band], self._bands[party][1][band])
             delta, pad = keys.tile_pad(tile.pad, rows, columns, header.pair_pad)
             where = slice(at * columns, (at + 1) * columns)
             hash_key = keys.tile_hash_key(header.tape, row_band, band)
-            parts.append(TilePart(slice(0, rows), where, pad, nothing, delta, hash_key))
+            parts.append(TilePart(slice(0, rows), where, pad, corrections[:, where], delta, hash_key))
         return pair_stream((rows, len(column_bands) * columns), parts)

@@ -16,7 +16,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from protocols.scores import Score
+from protocols.score import Operand, Score
 from spdz import Engine, Value, nonnegative
 from spdz.readings.plans import unchanging
 
@@ -44,7 +44,17 @@ class Candidate:
     @unchanging
     async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
         """One comparison of the score with the threshold."""
-        z = await self.score(engine, x, y)
+        return await self._past(await self.score(engine, x, y))
+
+    async def prepare(self, engine: Engine, vectors: Value, /) -> Operand:
+        """The score's, in a gallery."""
+        return await self.score.prepare(engine, vectors)
+
+    async def compare(self, engine: Engine, x: Operand, y: Operand, /) -> Value:
+        """One comparison of the score of every pair with the threshold."""
+        return await self._past(await self.score.compare(engine, x, y))
+
+    async def _past(self, z: Value) -> Value:
         exact = Fraction(self.threshold) * (1 << z.frac)
         # No honest score exceeds its bound, so that a threshold further out decides the same as bound + 1.
         limit, bound = z.bound.entry + 1, 2 * z.bound.entry + 1

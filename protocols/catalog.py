@@ -1,30 +1,27 @@
-"""What a tape is dealt for, as a few numbers that fit its header, and which thresholds make sense for it."""
+"""What a tape is dealt for, as a few numbers that fit its header."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite, sqrt
-from typing import Any, Literal
+from typing import Any
 
-from protocols.candidate import is_candidate
-from protocols.scores import SCORES
-from spdz import Program
-from spdz.arithmetic.fixed_point import MAX_NORM, norm_bound
+from protocols.question import Question, Reveal
+from protocols.thresholds import threshold_warning
+from spdz.arithmetic.fixed_point import MAX_NORM
 from spdz.channels.frames import MAX_FRAME
-from spdz.foundations.types import Shape
+from spdz.foundations.types import Security, Shape
+from spdz.readings.gallery import Terms
 from spdz.rounds.wire import ELEMENT_BYTES
 
-Reveal = Literal["bit", "score"]
+__all__ = ["GalleryPurpose", "Purpose", "Reveal", "parse_resolution", "threshold_warning"]
 
-_ROUNDING = 2.0**-13
-"""How far the score of two equal descriptors may be from the ideal one: a few units of 2^-16, with room."""
-_FLOORS = {"S1": _ROUNDING, "S3": _ROUNDING, "S5": 2.0**-22}
-"""Distances that equal descriptors may have, of the scores that normalise inside."""
+FINEST = 62
+"""Most fractional bits of a resolution: no score has more."""
 
 
 @dataclass(frozen=True, slots=True)
-class Purpose:
+class Purpose(Question):
     """The program of one job of a tape: every descriptor of one tile against every other.
 
     Attributes:
@@ -42,18 +39,14 @@ class Purpose:
     max_norm: float = MAX_NORM
 
     def __post_init__(self) -> None:
-        if self.score not in SCORES:
-            raise ValueError(f"unknown score {self.score!r}; known scores are {', '.join(SCORES)}")
-        if self.reveal not in ("bit", "score"):
-            raise ValueError(f"reveal must be 'bit' or 'score', not {self.reveal!r}")
-        if self.dim < 1 or len(self.tile) != 2 or min(self.tile) < 1:
-            raise ValueError("dimension and tile must be positive")
+        self.check()
+        if len(self.tile) != 2 or min(self.tile) < 1:
+            raise ValueError("the tile must be positive")
         if max(self.tile) * self.dim * ELEMENT_BYTES > MAX_FRAME or self.pairs * ELEMENT_BYTES > MAX_FRAME:
             raise ValueError(
                 f"a job of {self.tile[0]} x {self.tile[1]} descriptors of dimension {self.dim} does not fit "
                 f"a frame of {MAX_FRAME >> 20} MB; choose a smaller tile"
             )
-        norm_bound(self.max_norm, self.dim)  # raises for a norm out of range
 
     @property
     def pairs(self) -> int:
@@ -64,34 +57,6 @@ class Purpose:
     def shapes(self) -> tuple[Shape, Shape]:
         """Input shapes of both parties: broadcasting makes all pairs of them."""
         return (self.tile[0], 1, self.dim), (1, self.tile[1], self.dim)
-
-    def program(self, threshold: float | None) -> Program:
-        """The program itself.
-
-        Raises:
-            ValueError: if the tape reveals bits and there is no threshold, or the other way round.
-        """
-        score = SCORES[self.score].within(self.max_norm)
-        if self.reveal == "score":
-            if threshold is not None:
-                raise ValueError("these tapes reveal the score itself: leave the threshold out")
-            return score
-        if threshold is None:
-            raise ValueError("these tapes reveal only the candidate bit: give a threshold")
-        return is_candidate(score, threshold)
-
-    def rule(self, threshold: float | None) -> str:
-        """What is decided, for people."""
-        if threshold is None:
-            return f"{self.score} itself"
-        sign = ">=" if SCORES[self.score].similarity else "<="
-        root = f", a distance of {sqrt(threshold):.4g}" if self.hint and threshold >= 0 else ""
-        return f"{self.score} {sign} {threshold:g}{root}"
-
-    @property
-    def dealt_program(self) -> Program:
-        """The program as the dealer reads it (a threshold changes nothing that is dealt)."""
-        return self.program(0.0 if self.reveal == "bit" else None)
 
     def as_json(self) -> dict[str, Any]:
         """For a tape's header."""
@@ -124,70 +89,107 @@ class Purpose:
             max_norm=float(header["max_norm"]),
         )
 
-    @property
-    def score_range(self) -> tuple[float, float]:
-        """The smallest and the largest score of descriptors of norm at most ``max_norm``, before rounding."""
-        norm = 1.0 if self.score in ("S1", "S3", "S5", "S7", "S8", "S9") else self.max_norm
-        if SCORES[self.score].similarity:
-            return -(norm**2), norm**2
-        if self.score in ("S5", "S6"):
-            return 0.0, 4 * norm**2
-        return 0.0, 2 * norm * (sqrt(self.dim) if self.score == "S2" else 1.0)
 
-    @property
-    def hint(self) -> str | None:
-        """What users of this score get wrong most often."""
-        if self.score in ("S5", "S6"):
-            return f"{self.score} is the squared distance: for a Euclidean threshold t give t*t"
-        return None
+@dataclass(frozen=True, slots=True)
+class GalleryPurpose(Question):
+    """What a gallery is dealt for: any descriptor of party 0 may meet any of party 1.
 
+    Attributes:
+        score: Name of the score function.
+        dim: Length N of a descriptor.
+        reveal: ``"bit"`` (is it a candidate?) or ``"score"`` (the number itself).
+        max_norm: Largest L2 norm of a descriptor.
+        resolution: Fractional bits of the score that a comparison looks at: a score within 2^-resolution / 2
+            of the threshold may be decided either way. None for all of them: then it is exact.
+        min_norm: Smallest L2 norm of a descriptor; 0 for none.
+        proof: Whether the norm of every descriptor is proved (malicious mode).
 
-def threshold_warning(purpose: Purpose, threshold: float | None) -> str | None:
-    """Why a threshold will not do what its user wants, or None.
-
-    Warned of are thresholds that every pair or no pair can pass, that equal descriptors pass only by luck,
-    and that confuse a distance with its square. Of the last kind only those can be told by the number that
-    are past a right angle: descriptors of norm at most R that have nothing in common (x . y = 0) are at
-    most sqrt(2) R apart, and 2 R^2 squared. A threshold above that calls all of them the same place, which
-    nobody wants whatever R is.
-
-    Args:
-        purpose: What the tape is for.
-        threshold: In the score's units; None where scores are opened.
+    Raises:
+        ValueError: if a field is out of range, or a descriptor too large for a gallery's words.
     """
-    if threshold is None or purpose.reveal == "score" or not isfinite(threshold):
-        return None
-    name, (least, most) = purpose.score, purpose.score_range
-    given = f"the threshold {threshold:g}"
-    if SCORES[name].similarity:
-        if threshold <= least:
-            return f"{given} lets every pair match: no {name} is below {least:g}"
-        if threshold > most * (1 + _ROUNDING):
-            return f"{given} lets no pair match: no {name} is above {most:g} ({_of_norm(purpose)})"
-        if threshold >= most * (1 - _ROUNDING) or (name == "S10" and threshold == 1):
-            return (
-                f"{given} is met by equal descriptors up to rounding only, which may give 0.9999 or 1.00001 "
-                "times the largest score: give a little less"
-            )
-        return None
-    if threshold < 0:
-        return f"{given} lets no pair match: a distance is never negative"
-    if threshold >= most:
-        return f"{given} lets every pair match: no {name} is above {most:g} ({_of_norm(purpose)})"
-    if threshold < _FLOORS.get(name, 0):
-        return f"{given} is met by equal descriptors up to rounding only: give at least {_FLOORS[name]:.1g}"
-    unrelated = {"S3": most / sqrt(2), "S4": most / sqrt(2), "S5": most / 2, "S6": most / 2}
-    if threshold > unrelated.get(name, most):
-        other = f"S{int(name[1:]) + 2}"
-        what = purpose.hint or f"{name} is not squared: for a threshold s of squared distances give sqrt(s)"
-        return (
-            f"{given} lets descriptors match that have nothing in common: at a right angle {name} is at most "
-            f"{unrelated[name]:.4g}. {what}{'' if purpose.hint else f', or deal for {other}'}"
+
+    score: str
+    dim: int
+    reveal: Reveal = "bit"
+    max_norm: float = 1.0
+    resolution: int | None = 16
+    min_norm: float = 0.0
+    proof: bool = True
+
+    def __post_init__(self) -> None:
+        self.check()
+        if self.resolution is not None and not 0 <= self.resolution <= FINEST:
+            raise ValueError(f"a resolution is 2^0 to 2^-{FINEST}, or exact")
+        self.dealt_terms("malicious")  # raises where the words would be too long
+
+    def terms(self, threshold: float | None, security: Security) -> Terms:
+        """What slots and pairs are read with.
+
+        Raises:
+            ValueError: if the gallery reveals bits and there is no threshold, or the other way round.
+        """
+        return Terms(
+            self.program(threshold), self.dim, security, self.resolution, float(self.min_norm), self.proof
         )
-    return None
+
+    def dealt_terms(self, security: Security) -> Terms:
+        """The terms as the dealer reads them (a threshold changes nothing that is dealt)."""
+        return self.terms(0.0 if self.reveal == "bit" else None, security)
+
+    def rule(self, threshold: float | None) -> str:
+        """What is decided, for people."""
+        rule = Question.rule(self, threshold)  # super() finds no class made with slots=True
+        return rule if threshold is None or self.resolution is None else f"{rule}, to {self.step_text}"
+
+    def as_json(self) -> dict[str, Any]:
+        """For a tape's header."""
+        return {
+            "score": self.score,
+            "reveal": self.reveal,
+            "dim": self.dim,
+            "max_norm": self.max_norm,
+            "resolution": self.step_text,
+            "min_norm": self.min_norm,
+            "norm_proof": self.proof,
+        }
+
+    @classmethod
+    def from_json(cls, header: Mapping[str, Any]) -> GalleryPurpose:
+        """Read a tape's header back.
+
+        Raises:
+            ValueError: if the tape was dealt for something else.
+        """
+        if not {"score", "dim", "reveal", "max_norm", "resolution", "min_norm", "norm_proof"} <= set(header):
+            raise ValueError(
+                "this gallery was dealt for a program of your own, not for one of the ten scores: meet with "
+                "the spdz.readings.gallery.Terms that it was dealt for"
+            )
+        return cls(
+            score=str(header["score"]),
+            dim=int(header["dim"]),
+            reveal=header["reveal"],
+            max_norm=float(header["max_norm"]),
+            resolution=parse_resolution(str(header["resolution"])),
+            min_norm=float(header["min_norm"]),
+            proof=bool(header["norm_proof"]),
+        )
+
+    @property
+    def step_text(self) -> str:
+        """The resolution, as the dealer's command takes it."""
+        return "exact" if self.resolution is None else f"2^-{self.resolution}"
 
 
-def _of_norm(purpose: Purpose) -> str:
-    if purpose.score in ("S2", "S4", "S6", "S10"):
-        return f"of descriptors of norm at most {purpose.max_norm:g}, as the tapes were dealt for"
-    return "by its definition"
+def parse_resolution(text: str) -> int | None:
+    """Fractional bits of ``2^-16``; None of ``exact``.
+
+    Raises:
+        ValueError: of anything else.
+    """
+    if text == "exact":
+        return None
+    bits = text.removeprefix("2^-")
+    if bits == text or not (bits.isascii() and bits.isdigit() and len(bits) < 4):
+        raise ValueError(f"a resolution is a power of two such as 2^-16, or exact, not {text!r}")
+    return int(bits)

@@ -19,7 +19,12 @@ def squared_distance(x: Value, y: Value) -> Value:
     if x.shape[:-1] == y.shape[:-1]:
         apart = x - y
         return dot(apart, apart)
-    return dot(x, x) + dot(y, y) - 2 * dot(x, y)
+    return squared_distance_of((x, dot(x, x)), (y, dot(y, y)))
+
+
+def squared_distance_of(x: tuple[Value, ...], y: tuple[Value, ...]) -> Value:
+    """:func:`squared_distance` of vectors with their squares ``dot(x, x)``: the last two of either tuple."""
+    return x[-1] + y[-1] - 2 * dot(x[-2], y[-2])
 
 
 def _check_lengths(x: Value, y: Value) -> None:

@@ -16,7 +16,6 @@ within the number that was dealt.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +27,8 @@ from protocols.batch import Batch, Block, Matches, tiles_together
 from protocols.catalog import Purpose
 from protocols.matching import check_descriptors
 from protocols.position import Offer, Position, meeting
-from spdz.foundations.errors import ChannelError, OutOfStep, PeerAborted, SpdzError, TapeExhausted
+from protocols.reconnecting import FAREWELL, Reconnecting
+from spdz.foundations.errors import ChannelError, OutOfStep, SpdzError, TapeExhausted
 from spdz.session import Session, open_session
 from spdz.session.connect import check_where
 from spdz.session.turn import Turn
@@ -36,14 +36,8 @@ from spdz.tape import Tape, TapeHeader
 
 Self = TypeVar("Self", bound="Matcher")
 
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 1.0
-"""Seconds before another try, doubled while tries bring nothing."""
 
-_FAREWELL = 10.0
-"""Most seconds to look for a peer that has perhaps missed the end."""
-
-
-class Matcher:
+class Matcher(Reconnecting[Session]):
     """One robot's side of a matching with one peer. Both robots make one, and match equally often.
 
     ::
@@ -108,15 +102,14 @@ class Matcher:
         with Tape.open(tape, state_dir=None if state_dir is None else Path(state_dir)) as opened:
             self._header, self._remaining = opened.header, opened.remaining
             self.rolled_back = opened.rolled_back
+        super().__init__(self._header.peer, on_event)
         self._purpose = Purpose.from_json(self._header.program)
         self._program = self._purpose.program(threshold)
         self._together = tiles_together(self._purpose, self._program, self._header.security)
-        self._on_block, self._on_event, self._progress = on_block, on_event, progress
-        self._session: Session | None = None
+        self._on_block, self._progress = on_block, progress
         self._number: int | None = first
         self._current: Batch | None = None
         self._previous: Batch | None = None
-        self._progressed = self._met = False
         self._turn = Turn("matcher")
 
     def __repr__(self) -> str:
@@ -228,68 +221,17 @@ class Matcher:
             if self._previous is None:
                 return
             try:
-                self._see_through(min(self._wait, _FAREWELL), self._go_on)
+                self._see_through(min(self._wait, FAREWELL), self._go_on)
             except (ChannelError, OutOfStep, TapeExhausted) as error:
                 self._on_event(f"ended without {self._header.peer}: {error}")
             finally:
                 self._previous = None
 
-    def close(self) -> None:
-        """Hang up; safe to call twice."""
-        session, self._session = self._session, None
-        if session is not None:
-            session.close()
-            self._remaining = session.remaining
+    def _open(self, wait: float) -> Session:
+        return open_session(self._tape, wait=wait, **self._where)
 
-    def _see_through(self, wait: float, work: Callable[[Session], None]) -> None:
-        """Do the work, over as many connections as it takes, while something goes on within ``wait``."""
-        deadline, pause = time.monotonic() + wait, _FIRST_PAUSE
-        while True:
-            self._progressed, reached = False, self._session is not None
-            try:
-                session = self._connected(max(deadline - time.monotonic(), _FIRST_PAUSE))
-                reached = True
-                work(session)
-                return
-            except (ChannelError, OutOfStep) as error:
-                passing = self._may_pass(error, reached)
-                self._hang_up(None if passing else error)
-                now = time.monotonic()
-                if self._progressed:
-                    deadline, pause = now + wait, _FIRST_PAUSE
-                # What could not be reached was looked for until the deadline, or nearly.
-                rest = pause if reached else max(pause, min(1.0, wait / 2))
-                if not passing or now + rest >= deadline:
-                    raise
-                what = "lost" if reached else "could not reach"
-                self._on_event(
-                    f"{what} {self._header.peer} ({error}); trying again for up to {deadline - now:.3g} s"
-                )
-            except BaseException as error:
-                self._hang_up(error)
-                raise
-            time.sleep(pause)
-            pause = min(2 * pause, _LONGEST_PAUSE)
-
-    def _may_pass(self, error: ChannelError | OutOfStep, reached: bool) -> bool:
-        """Whether the peer may be back, or be the one that answers next time."""
-        if isinstance(error, OutOfStep):  # one that was restarted has been told where this side is
-            return error.here is not None and error.there is not None and error.here > error.there
-        somebody_else = self._met and not reached and not isinstance(error, PeerAborted)
-        return error.passing or somebody_else
-
-    def _hang_up(self, error: BaseException | None) -> None:
-        """Close the session; the peer is told of an error that is for good."""
-        if error is not None and self._session is not None:
-            self._session.abandon(error)
-        self.close()
-
-    def _connected(self, wait: float) -> Session:
-        if self._session is None:
-            self._session = open_session(self._tape, wait=wait, **self._where)
-            self._met = True
-            self._on_event(f"connected to {self._header.peer}")
-        return self._session
+    def _ended(self, session: Session) -> None:
+        self._remaining = session.remaining
 
     def _go_on(self, session: Session) -> None:
         """Until both sides are through with the current batch, or with all if there is none."""

@@ -20,47 +20,13 @@ into one that opens only the comparison with a threshold.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, replace
-
-from protocols.cosine import cosine
-from protocols.distance import difference, squared_distance
+from protocols.cosine import cosine, cosine_of, inverse_norm
+from protocols.distance import difference, squared_distance, squared_distance_of
+from protocols.score import Of, Operand, Score
 from spdz import Engine, Value, absolute, dot, l1_normalised, l2_normalised, sqrt, truncate
-from spdz.arithmetic.fixed_point import MAX_NORM
 from spdz.readings.plans import unchanging
-from spdz.readings.program import result_of
 
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """A score function of two descriptors.
-
-    Attributes:
-        name: Identifier, e.g. ``"S10"``.
-        title: The paper's name.
-        similarity: True if larger means more alike (candidate: score >= threshold), False for a
-            distance (candidate: score <= threshold).
-        formula: The protocol on masked descriptors of shape S + (N,).
-        max_norm: Largest L2 norm of a descriptor; a smaller one makes the dealt keys smaller.
-    """
-
-    name: str
-    title: str
-    similarity: bool
-    formula: Callable[[Engine, Value, Value], Awaitable[Value]]
-    max_norm: float = MAX_NORM
-
-    @unchanging
-    async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
-        """Run the formula."""
-        return await result_of("score", self.formula, engine, x, y)
-
-    def __str__(self) -> str:
-        return f"{self.name} ({self.title})"
-
-    def within(self, max_norm: float) -> Score:
-        """The same score for descriptors of at most this norm (1 for normalised descriptors)."""
-        return replace(self, max_norm=max_norm)
+__all__ = ["S1", "S2", "S3", "S4", "S5", "S6", "S7", "S8", "S9", "S10", "SCORES", "Score", "rounded"]
 
 
 async def rounded(z: Value) -> Value:
@@ -69,58 +35,117 @@ async def rounded(z: Value) -> Value:
     return result
 
 
+# -- what a job computes ---------------------------------------------------------------------------------
+
+
+@unchanging
 async def _l1_dist_bar(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await l1_normalised(x, y)
-    return (await absolute(x - y)).sum()
+    return await _l1_dist(engine, *await l1_normalised(x, y))
 
 
+@unchanging
 async def _l1_dist(engine: Engine, x: Value, y: Value) -> Value:
     return (await absolute(difference(x, y))).sum()
 
 
+@unchanging
 async def _l2_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await l2_normalised(x, y)
-    return await sqrt(squared_distance(x, y))
+    return await _l2_dist(engine, *await l2_normalised(x, y))
 
 
+@unchanging
 async def _l2_dist(engine: Engine, x: Value, y: Value) -> Value:
     return await sqrt(squared_distance(x, y))
 
 
+@unchanging
 async def _l2sq_dist_hat(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await l2_normalised(x, y)
-    return await rounded(squared_distance(x, y))
+    return await rounded(squared_distance(*await l2_normalised(x, y)))
 
 
+@unchanging
 async def _l2sq_dist(engine: Engine, x: Value, y: Value) -> Value:
     return squared_distance(x, y)
 
 
+@unchanging
 async def _cossim_hat(engine: Engine, x: Value, y: Value) -> Value:
-    x, y = await l2_normalised(x, y)
-    return await rounded(dot(x, y))
+    return await _rounded_dotprod(engine, *await l2_normalised(x, y))
 
 
+@unchanging
 async def _cossim(engine: Engine, x: Value, y: Value) -> Value:
     return await rounded(await cosine(x, y))
 
 
+@unchanging
 async def _dotprod(engine: Engine, x: Value, y: Value) -> Value:
     return dot(x, y)
 
 
-S1 = Score("S1", "L1_dist_bar", similarity=False, formula=_l1_dist_bar)
-S2 = Score("S2", "L1_dist", similarity=False, formula=_l1_dist)
-S3 = Score("S3", "L2_dist_hat", similarity=False, formula=_l2_dist_hat)
-S4 = Score("S4", "L2_dist", similarity=False, formula=_l2_dist)
-S5 = Score("S5", "L2sq_dist_hat", similarity=False, formula=_l2sq_dist_hat)
-S6 = Score("S6", "L2sq_dist", similarity=False, formula=_l2sq_dist)
-S7 = Score("S7", "cossim_hat", similarity=True, formula=_cossim_hat)
-S8 = Score("S8", "cossim_2sqrt", similarity=True, formula=_cossim)
-S9 = Score("S9", "cossim_1sqrt", similarity=True, formula=_cossim)
-S10 = Score("S10", "dotprod", similarity=True, formula=_dotprod)
+@unchanging
+async def _rounded_dotprod(engine: Engine, x: Value, y: Value) -> Value:
+    return await rounded(dot(x, y))
+
+
+# -- what a gallery prepares of a slot, and compares of two ----------------------------------------------
+
+
+@unchanging
+async def _bar(engine: Engine, x: Value) -> Operand:
+    return tuple(await l1_normalised(x))
+
+
+@unchanging
+async def _hat(engine: Engine, x: Value) -> Operand:
+    return tuple(await l2_normalised(x))
+
+
+@unchanging
+async def _hat_and_square(engine: Engine, x: Value) -> Operand:
+    (hat,) = await l2_normalised(x)
+    return hat, dot(hat, hat)
+
+
+@unchanging
+async def _square(engine: Engine, x: Value) -> Operand:
+    return (dot(x, x),)
+
+
+@unchanging
+async def _inverse_norm(engine: Engine, x: Value) -> Operand:
+    return await inverse_norm(x)
+
+
+@unchanging
+async def _l2_apart(engine: Engine, x: Operand, y: Operand) -> Value:
+    return await sqrt(squared_distance_of(x, y))
+
+
+@unchanging
+async def _l2sq_apart_hat(engine: Engine, x: Operand, y: Operand) -> Value:
+    return await rounded(squared_distance_of(x, y))
+
+
+@unchanging
+async def _l2sq_apart(engine: Engine, x: Operand, y: Operand) -> Value:
+    return squared_distance_of(x, y)
+
+
+@unchanging
+async def _cosine_of(engine: Engine, x: Operand, y: Operand) -> Value:
+    return await rounded(await cosine_of(x, y))
+
+
+S1 = Score("S1", "L1_dist_bar", False, _l1_dist_bar, prepare=_bar, compare=Of(_l1_dist))
+S2 = Score("S2", "L1_dist", False, _l1_dist)
+S3 = Score("S3", "L2_dist_hat", False, _l2_dist_hat, prepare=_hat_and_square, compare=_l2_apart)
+S4 = Score("S4", "L2_dist", False, _l2_dist, prepare=_square, compare=_l2_apart)
+S5 = Score("S5", "L2sq_dist_hat", False, _l2sq_dist_hat, prepare=_hat_and_square, compare=_l2sq_apart_hat)
+S6 = Score("S6", "L2sq_dist", False, _l2sq_dist, prepare=_square, compare=_l2sq_apart)
+S7 = Score("S7", "cossim_hat", True, _cossim_hat, prepare=_hat, compare=Of(_rounded_dotprod))
+S8 = Score("S8", "cossim_2sqrt", True, _cossim, prepare=_inverse_norm, compare=_cosine_of)
+S9 = Score("S9", "cossim_1sqrt", True, _cossim, prepare=_inverse_norm, compare=_cosine_of)
+S10 = Score("S10", "dotprod", True, _dotprod)
 
 SCORES: dict[str, Score] = {score.name: score for score in (S1, S2, S3, S4, S5, S6, S7, S8, S9, S10)}
-
-for _score in SCORES.values():
-    unchanging(_score.formula)

@@ -15,6 +15,7 @@ from spdz.foundations.errors import (
     TapeExhausted,
     TapeInUse,
     TapeMismatch,
+    Unsent,
 )
 from spdz.foundations.stats import Outcome, Stats
 from spdz.functions import (
@@ -73,6 +74,7 @@ __all__ = [
     "TapeExhausted",
     "TapeInUse",
     "TapeMismatch",
+    "Unsent",
     "Value",
     "__version__",
     "absolute",

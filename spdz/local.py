@@ -71,7 +71,7 @@ def run_local(
         run(party, program, declare(program, shapes, {party.index: data[party.index]}))
         for party, _ in parties
     ]
-    return Outcome(_lock_step(protocols, [check for _, check in parties], stats, tamper), stats)
+    return Outcome(lock_step(protocols, [check for _, check in parties], stats, tamper), stats)
 
 
 def run_clear(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> Outcome:
@@ -91,7 +91,7 @@ def run_clear(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> Outcome:
     protocols = [
         run(Clear(index), program, declare(program, shapes, {index: data[index]})) for index in (0, 1)
     ]
-    return Outcome(_lock_step(protocols, (None, None), stats, None), stats)
+    return Outcome(lock_step(protocols, (None, None), stats, None), stats)
 
 
 def _quantised(program: Program, x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[IntArray, IntArray]:
@@ -131,18 +131,20 @@ def _deal_in_process(
     return parties
 
 
-def _lock_step(
+def lock_step(
     protocols: Sequence[Protocol[Any]],
     mac_checks: Sequence[MacCheck | None],
     stats: tuple[Stats, Stats],
-    tamper: Tamper | None,
+    tamper: Tamper | None = None,
 ) -> Any:
     """Step both parties round by round until both return; returns party 0's result."""
     lanes = [drive(protocol, check) for protocol, check in zip(protocols, mac_checks, strict=True)]
     try:
-        requests = [next(lane) for lane in lanes]
+        steps = [_step(lane, None) for lane in lanes]
         number = 0
-        while True:
+        while requests := [step for step in steps if isinstance(step, Exchange)]:
+            if len(requests) != len(lanes):
+                raise ProtocolViolation("one party finished before the other")
             frames = [b"".join(request.payload) for request in requests]
             for sender in (0, 1):
                 stats[sender].rounds += 1
@@ -157,21 +159,17 @@ def _lock_step(
                         f"got {len(frames[1 - receiver])}"
                     )
             steps = [_step(lane, memoryview(frames[1 - i])) for i, lane in enumerate(lanes)]
-            requests = [step for step in steps if isinstance(step, Exchange)]
-            if not requests:
-                return next(step[0] for step in steps if not isinstance(step, Exchange))
-            if len(requests) != len(lanes):
-                raise ProtocolViolation("one party finished before the other")
             number += 1
+        return next(step[0] for step in steps if not isinstance(step, Exchange))
     finally:
         for lane, protocol in zip(lanes, protocols, strict=True):
             lane.close()
             protocol.close()  # a lane that was never started does not close it
 
 
-def _step(lane: Generator[Exchange, memoryview, Any], reply: memoryview) -> Exchange | tuple[Any]:
+def _step(lane: Generator[Exchange, memoryview, Any], reply: memoryview | None) -> Exchange | tuple[Any]:
     """Step one party: its next request, or its result in a 1-tuple."""
     try:
-        return lane.send(reply)
+        return next(lane) if reply is None else lane.send(reply)
     except StopIteration as done:
         return (done.value,)

@@ -8,7 +8,7 @@ from unittest.mock import patch
 import numpy as np
 
 from dealer.mission import deal_mission
-from protocols import Matcher, matcher
+from protocols import Matcher, matcher, reconnecting
 from protocols.catalog import Purpose
 from spdz import ChannelTimeout
 from spdz.channels import memory
@@ -98,7 +98,7 @@ def robots(folder, paths, link, work, *, first_pause=1e-3, **options):
 
     with (
         patch.object(matcher, "open_session", link.open_session),
-        patch.object(matcher, "_FIRST_PAUSE", first_pause),
+        patch.object(reconnecting, "_FIRST_PAUSE", first_pause),
     ):
         with ThreadPoolExecutor(2) as pool:
             futures = [pool.submit(robot, party) for party in (0, 1)]

@@ -263,6 +263,7 @@ def test_the_field_holds_what_is_output():
 
 
 async def shortest(x, y):
+    """Of masks that are uniform on F_p, as the norm makes them (small integers: ``test_small_masks.py``)."""
     (cut,) = await truncate(x, frac=4)
     made = [cut + x, x - cut, cut * 3, cut[:1], cut.sum(), concatenate(cut, x), concatenate(x, cut), cut + 1]
     assert {z.mask_bits for z in (cut, *made)} == {x.mask_bits - 12}
@@ -275,7 +276,7 @@ def test_what_is_put_together_has_the_shortest_of_the_masks(security):
     async def program(engine, x, y):
         return await shortest(x, y)
 
-    program.max_norm = 4.0
+    program.max_norm = 2.0**22
     run_local(program, [1.0, -2.0], [1.0, 2.0], security)
 
 

@@ -1,4 +1,7 @@
-"""Where masks cancel, a comparison or truncation in place would wrap: refused, or masked anew."""
+"""Where masks cancel, a comparison or truncation in place would wrap: refused, or masked anew.
+
+Where masks are small integers nothing wraps, whatever cancels.
+"""
 
 import numpy as np
 import pytest
@@ -83,7 +86,30 @@ def test_a_value_minus_itself_is_refused_with_what_to_do(name, security):
 
 def test_a_mask_that_lost_its_high_bits_is_refused():
     with pytest.raises(ValueError, match="fresh=True"):
-        run_local(program(half_the_fractional_part, max_norm=8.0), X, [0.0])
+        run_local(program(half_the_fractional_part), X, [0.0])
+
+
+SMALL = 8.0
+"""A norm of which the masks are small integers."""
+
+
+@pytest.mark.parametrize("security", SECURITIES)
+@pytest.mark.parametrize(
+    "name",
+    sorted(WITH_A_ZERO | REFUSED),
+)
+def test_nothing_is_refused_where_masks_are_small_integers(name, security):
+    run = program((WITH_A_ZERO | REFUSED)[name], max_norm=SMALL)
+    right = run_clear(run, X, [0.0]).value
+    assert run_local(run, X, [0.0], security).value == pytest.approx(right, rel=2**-16)
+
+
+@pytest.mark.parametrize("security", SECURITIES)
+def test_a_small_mask_that_lost_its_high_bits_is_none_the_worse(security):
+    run = program(half_the_fractional_part, max_norm=SMALL)
+    x = [3.25, 4.5, -5.0 + 2**-8]
+    right = run_clear(run, x, [0.0]).value
+    assert run_local(run, x, [0.0], security).value == pytest.approx(right, abs=2**-8)
 
 
 @pytest.mark.parametrize("security", SECURITIES)

@@ -1,4 +1,4 @@
-"""Every program, lied to by either party in every element of every opening: caught at the next check.
+"""Every program, lied to by either party in every element and bit of every opening: caught at the next check.
 
 Ways to lie take turns from element to element, from opening to opening and from party to party, and so does
 whether the insider's state follows the lie. SPDZ_INSIDER_TRIALS is how many further lies of all kinds are
@@ -11,11 +11,13 @@ from itertools import cycle, islice, pairwise, product
 
 import numpy as np
 import pytest
+from insider_frames import Bit
 from insider_programs import ALL, GATES_AND_FUNCTIONS, X, Y, dealt
 from lies import ELEMENT, FRAME, PAIR, cancelling, element, frame, pair, sampled
 
 from spdz import ProtocolViolation, functions, gates, run_clear
 from spdz.arithmetic.field import P
+from spdz.values.input_mask import LONG, element_bytes
 
 TRIALS = int(os.environ.get("SPDZ_INSIDER_TRIALS", "4"))
 SHORT = 8
@@ -101,22 +103,58 @@ def test_any_other_lie_is_caught(name):
         job.try_lie(evil, number, lie, follow=generator.random() < 0.5, what=what)
 
 
-ILLEGAL = {
-    "p itself": lambda own: [P, *own[1:]],
-    "an unreduced share": lambda own: [own[0] | 1 << 127, *own[1:]],
-    "the last element at its largest": lambda own: [*own[:-1], (1 << 128) - 1],
+LENGTHS = {
     "one element short": lambda own: own[:-1],
     "one element long": lambda own: [*own, 0],
     "nothing": lambda own: [],
 }
+ILLEGAL = LENGTHS | {
+    "p itself": lambda own: [P, *own[1:]],
+    "an unreduced share": lambda own: [own[0] | 1 << 127, *own[1:]],
+    "the last element at its largest": lambda own: [*own[:-1], (1 << 128) - 1],
+}
+
+
+BITS = {
+    "a bit beyond the last": lambda own: [*own, Bit(1)],
+    "the last bit of the last byte": lambda own: [*own, *[Bit(0)] * (7 - len(own)), Bit(1)],
+    "all bits beyond the last": lambda own: [*own, *[Bit(1)] * (8 - len(own))],
+    "one byte long": lambda own: [*own, *[Bit(0)] * 8],
+    "nothing": lambda own: [],
+}
+"""Of fewer than eight bits."""
+
+
+def illegal(job, number):
+    """Ways to send what is no frame of exchange ``number``."""
+    if number in job.honest.bits:
+        return BITS
+    bits, norm = job.word_bits, job.norm
+    if number or bits == LONG:
+        return ILLEGAL
+    return LENGTHS | {
+        "a word below the interval": lambda own: [norm - 1, *own[1:]],
+        "a word above the interval": lambda own: [*own[:-1], (1 << bits) - norm],
+        "no word at all": lambda own: [0, *own[1:]],
+        "a word at its largest": lambda own: [own[0], (1 << 8 * element_bytes(bits)) - 1, *own[2:]],
+    }
 
 
 @pytest.mark.parametrize(
-    "name", ["S6", "beaver_dot", "S10 candidate", "side by side", "beaver_dot on a stock"]
+    "name", ["S6", "beaver_dot", "nonnegative", "S10 candidate", "side by side", "beaver_dot on a stock"]
 )
 def test_a_frame_that_is_not_well_formed_is_refused_at_once(name):
     job = dealt(name)
-    for evil, number, how in product((0, 1), (0, *job.honest.openings), ILLEGAL):
-        duel = job.duel(evil, lambda at, own, theirs: ILLEGAL[how](own) if at == number else own)  # noqa: B023
-        assert type(duel.error) is ProtocolViolation and not duel.results
-        assert len(duel.sent) == job.honest.position(number) + 1
+    for evil, number in product((0, 1), (0, *job.honest.openings)):
+        for how, say in illegal(job, number).items():
+            duel = job.duel(evil, lambda at, own, theirs: say(own) if at == number else own)  # noqa: B023
+            assert type(duel.error) is ProtocolViolation and not duel.results, (evil, number, how)
+            assert len(duel.sent) == job.honest.position(number) + 1
+
+
+@pytest.mark.parametrize("name", ["S6", "S10 candidate"])
+def test_words_at_the_ends_of_the_interval_are_taken(name):
+    """They are words of inputs far out of range; the program is the honest one's, so a check fails later."""
+    job = dealt(name)
+    for evil, word in product((0, 1), (job.norm, (1 << job.word_bits) - job.norm - 1)):
+        assert job.try_lie(evil, 0, lambda at, own, theirs: own if at else [*own[:-1], word], what="ends")  # noqa: B023

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from link_helpers import BATCHES, DIM, Link, all_batches, check_all, expected, mission, robots
 
-from protocols import Matcher, Matches, batching, matcher
+from protocols import Matcher, Matches, batching, reconnecting
 from spdz import (
     ChannelError,
 )
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("quick_disk")
 
 
 CUTS = int(os.environ.get("SPDZ_DROPS", "40"))
-"""Drops tried a direction; a session has some 3,000 bytes a direction, and so many of them try every byte."""
+"""Drops tried a direction; a session has some 2,000 bytes a direction, and so many of them try every byte."""
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_a_drop_at_any_byte_of_a_session_loses_and_mixes_nothing(world, sender):
 
 def test_drop_after_drop_is_survived(world):
     folder, paths = world
-    link = Link([(k % 2, 900 + 137 * k) for k in range(9)])
+    link = Link([(k % 2, 800 + 60 * k) for k in range(9)])
     check_all(robots(folder, paths, link, all_batches))
     assert len(link.ends) >= 10
 
@@ -93,7 +93,7 @@ def test_a_side_that_missed_the_last_frame_gets_it_from_a_peer_that_went_on(worl
 
 def test_what_was_decided_is_kept_when_the_peer_is_gone_for_good(tmp_path):
     paths = mission(tmp_path / "m", 400)
-    link = Link([(1, 2100)], timeout=1.0)
+    link = Link([(1, 1500)], timeout=1.0)
     reach, put = [], link.calls.put
     link.calls.put = lambda end: None if reach else reach.append(put(end))  # later calls reach nobody
 
@@ -108,13 +108,14 @@ def test_what_was_decided_is_kept_when_the_peer_is_gone_for_good(tmp_path):
 
 
 def test_a_broken_off_batch_can_be_resumed(tmp_path):
-    paths = mission(tmp_path / "m", 400)
+    paths, broken = mission(tmp_path / "m", 400), []
 
     def work(one, party):
         try:
             matches = one.match(BATCHES[party][0])
         except ChannelError:
             before = one.partial.pairs
+            broken.append(before)
             link.cuts.clear()
             matches = one.resume()
             assert before < matches.pairs == 12
@@ -122,9 +123,10 @@ def test_a_broken_off_batch_can_be_resumed(tmp_path):
             one.resume()
         return [matches, *(one.match(batch) for batch in BATCHES[party][1:])]
 
-    link = Link([(0, 1800 + k) for k in range(200)], timeout=2.0)
+    link = Link([(0, 1500), *[(0, 600)] * 200], timeout=2.0)
     with patch.object(batching, "MOST_JOBS", 1):
         check_all(robots(tmp_path, paths, link, work, wait=1.0))
+    assert broken and min(broken) > 0
 
 
 class Clock:
@@ -143,9 +145,13 @@ class Clock:
 def test_the_wait_begins_again_whenever_something_went_on(tmp_path):
     """The pauses after all drops are longer than the time to wait, each of them shorter."""
     paths = mission(tmp_path / "m", 200, tile=(1, 1))
-    link = Link([(k % 2, 1900) for k in range(12)])
+    link = Link([(k % 2, 1700) for k in range(12)])
     clock = Clock()
-    patches = [(batching, "MOST_JOBS", 1), (matcher, "time", clock), (matcher, "_LONGEST_PAUSE", 20.0)]
+    patches = [
+        (batching, "MOST_JOBS", 1),
+        (reconnecting, "time", clock),
+        (reconnecting, "_LONGEST_PAUSE", 20.0),
+    ]
     with ExitStack() as stack:
         for where, what, value in patches:
             stack.enter_context(patch.object(where, what, value))

@@ -58,7 +58,7 @@ def restarted_in_the_middle(folder, own):
             return again.match(own)
 
     with patch.object(batching, "MOST_JOBS", 1):
-        return robots(folder, paths, Link([(1, 2100)]), work, wait=2.0), blocks
+        return robots(folder, paths, Link([(1, 1500)]), work, wait=2.0), blocks
 
 
 def test_a_robot_that_was_restarted_in_the_middle_of_a_batch_gets_all_of_it(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from session_helpers import run_pair, state_dirs
 
-from dealer import cli, plan
+from dealer import cli, options, plan
 from dealer.mission import deal_mission, mission_bytes
 from dealer.plan import Impossible, TilePlan, candidate_tiles, jobs_for, pick, plan_maps, plan_tile
 from protocols import batching, memory
@@ -33,6 +33,7 @@ def words(text, *more):
         (Purpose("S10", 5, max_norm=1.0), (9, 8)),  # 72 jobs: more than a batch
         (Purpose("S10", 5, tile=(2, 3), max_norm=1.0), (5, 7)),
         (Purpose("S6", 5, tile=(3, 2), reveal="score"), (4, 4)),
+        (Purpose("S10", 4, tile=(1, 3), max_norm=2.0**13), (3, 4)),  # words of 63 bits, and elements
         (Purpose("S2", 4, tile=(2, 2), max_norm=1.0), (4, 3)),
         (Purpose("S4", 4, tile=(1, 3), max_norm=1.0), (2, 3)),
         (Purpose("S7", 4, tile=(2, 1), max_norm=1.0), (3, 2)),
@@ -57,10 +58,12 @@ def test_jobs_bytes_and_rounds_are_what_the_plan_says(tmp_path, purpose, maps, s
     assert [matches.stats.rounds for matches in done] == [foreseen.rounds] * 2
 
 
-def test_both_kinds_of_masks_and_several_batches_were_among_these():
-    short = plan_tile(AGENTS, Purpose("S10", 5, max_norm=1.0), 72, (9, 8), "semi-honest")
-    long = plan_tile(AGENTS, Purpose("S10", 5), 72, (9, 8), "semi-honest")
-    assert short.bytes_sent[0] == long.bytes_sent[0] - 72 * 5 * 8
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_both_kinds_of_masks_and_several_batches_were_among_these(security):
+    """Words of 50 bits, 7 bytes, and elements of 16."""
+    short = plan_tile(AGENTS, Purpose("S10", 5, max_norm=1.0), 72, (9, 8), security)
+    long = plan_tile(AGENTS, Purpose("S10", 5), 72, (9, 8), security)
+    assert short.bytes_sent[0] == long.bytes_sent[0] - 72 * 5 * (16 - 7)
     assert short.together == batching.MOST_JOBS < short.jobs
 
 
@@ -89,9 +92,9 @@ def test_candidates_differ_fit_the_maps_and_waste_little(maps):
         assert all(n * side - size < n for n, side, size in zip(blocks, tile, maps, strict=True))
 
 
-@pytest.mark.parametrize("score", ["S2", "S10"])
-def test_the_picked_tile_keeps_jobs_small_and_the_link_quick(score):
-    plans = plan_maps(AGENTS, Purpose(score, 1200, max_norm=1.0), (200, 300), "malicious")
+@pytest.mark.parametrize(("score", "maps"), [("S2", (200, 300)), ("S10", (400, 600))])
+def test_the_picked_tile_keeps_jobs_small_and_the_link_quick(score, maps):
+    plans = plan_maps(AGENTS, Purpose(score, 1200, max_norm=1.0), maps, "malicious")
     picked, why = pick(plans)
     assert picked in plans and "link" in why
     assert picked.job_bytes <= batching.DEALT_BYTES and picked.matching_memory <= plan.ROBOT_MEMORY
@@ -185,7 +188,12 @@ def test_bad_words_are_refused_with_status_2_and_as_json(tmp_path, capsys, monke
 
 
 def test_scores_go_by_either_name_in_any_case():
-    assert [cli.score(name) for name in ("S10", "s10", "dotprod", "L2_DIST")] == ["S10", "S10", "S10", "S4"]
+    assert [options.score(name) for name in ("S10", "s10", "dotprod", "L2_DIST")] == [
+        "S10",
+        "S10",
+        "S10",
+        "S4",
+    ]
     assert isinstance(cli.parser(), CommandParser)
 
 

@@ -11,6 +11,7 @@ from spdz.channels import Channel, tcp, tls
 from spdz.channels.addresses import parse_address
 from spdz.channels.credentials import check_credentials
 from spdz.channels.telling import ignore
+from spdz.foundations.types import IntArray
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
@@ -77,6 +78,7 @@ def open_gallery(
     tape: str | Path,
     terms: Terms,
     *,
+    waiting: list[IntArray] | None = None,
     listen: str | None = None,
     connect: str | None = None,
     credentials: str | Path | None = None,
@@ -92,6 +94,7 @@ def open_gallery(
         tape: This robot's gallery tape for that peer. What it was used for is kept beside it, in a file of
             the same name that ends in ``.ledger``.
         terms: What the tape was dealt for, with the threshold.
+        waiting: As for :class:`GallerySession`.
         listen: As for a session.
         connect: As for a session.
         credentials: As for a session.
@@ -125,7 +128,7 @@ def open_gallery(
             on_event=on_event,
         )
         resources.pop_all()
-    return GallerySession(opened, ledger, channel, terms)
+    return GallerySession(opened, ledger, channel, terms, waiting)
 
 
 def reach_peer(

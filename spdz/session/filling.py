@@ -83,18 +83,20 @@ class Filling:
             Whether either side has more to bring.
         """
         own, peer = self.ledger.slots[self.party], self.ledger.slots[1 - self.party]
-        entries = self._masked(max(1, min(MOST, _BYTES // self._size)))
+        entries, taken = self._masked(max(1, min(MOST, _BYTES // self._size)))
         unsent = list(enumerate(own.eps(self.sent, own.filled), self.sent))
         told = [*unsent, *entries]
         offer: dict[str, Json] = {
             "from": self.sent,
             "slots": len(told),
             "void": [i for i, (_, words) in enumerate(told) if words is None],
-            "more": bool(self.waiting),
+            "more": len(self.waiting) > taken,
         }
         answer = agreement.control(offer, *offer)
         count, void = self._read_offer(answer, peer.filled)
         own.fill(entries)
+        del self.waiting[:taken]
+        step.own += [slot for slot, words in entries if words is not None]
         frames = [words for _, words in told if words is not None]
         reply = self.channel.exchange(FrameKind.DATA, frames, self._size * (count - len(void)))
         step.filling.stats.rounds += 1
@@ -103,7 +105,6 @@ class Filling:
         self.place(1 - self.party, received)  # refuses bad words before they are kept
         peer.fill(received)
         self.place(self.party, entries)
-        step.own += [slot for slot, words in entries if words is not None]
         step.peer += [slot for slot, words in received if words is not None]
         self.sent = own.filled
         return bool(self.waiting) or bool(answer["more"])
@@ -125,25 +126,24 @@ class Filling:
     def _size(self) -> int:
         return self.terms.dim * element_bytes(self.terms.word_bits)
 
-    def _masked(self, limit: int) -> list[Entry]:
-        """Words for what waits, in the next own slots."""
+    def _masked(self, limit: int) -> tuple[list[Entry], int]:
+        """Words for what waits, in the next own slots, and how many descriptors they are."""
         own, shelf, terms = self.ledger.slots[self.party], self.shelves[self.party], self.terms
         entries: list[Entry] = []
-        slot = own.filled
-        while self.waiting and len(entries) < limit:
-            taken = min(len(self.waiting), limit - len(entries), shelf.capacity - slot)
-            if not taken:
-                self.refuse_more_than(0, len(self.waiting))
-            words = np.stack(self.waiting[:taken]) + shelf.masks(range(slot, slot + taken))
+        slot, done = own.filled, 0
+        while (waiting := len(self.waiting) - done) and len(entries) < limit:
+            count = min(waiting, limit - len(entries), shelf.capacity - slot)
+            if not count:
+                self.refuse_more_than(0, waiting)
+            words = np.stack(self.waiting[done : done + count]) + shelf.masks(range(slot, slot + count))
             good = inside(words, terms.word_bits, terms.norm).all(axis=1)
-            stop = taken if good.all() else int(np.argmin(good))
+            stop = count if good.all() else int(np.argmin(good))
             packed = pack(words[:stop], terms.word_bits).reshape(stop, self._size)
             entries += [(slot + i, packed[i].tobytes()) for i in range(stop)]
-            if stop < taken:
+            if stop < count:
                 entries.append((slot + stop, None))
-            del self.waiting[:stop]
-            slot += stop + (stop < taken)
-        return entries
+            slot, done = own.filled + len(entries), done + stop
+        return entries, done
 
     def _read_offer(self, answer: dict[str, Any], filled: int) -> tuple[int, set[int]]:
         """How many slots come, and which of them are void."""

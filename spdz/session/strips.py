@@ -82,6 +82,15 @@ class Step:
             total.add(phase.stats)
         return total
 
+    @property
+    def matches(self) -> list[tuple[int, int]]:
+        """Own slot and peer's slot of every pair that was decided with True."""
+        return [
+            (block.own.start + int(i), block.peer.start + int(j))
+            for block in self.blocks
+            for i, j in np.argwhere(block.results)
+        ]
+
 
 def pieces(strip: Strip, most: int) -> Iterator[Strip]:
     """A strip in strips of at most so many pairs, or of one row or column, each beside the one before."""

@@ -1,0 +1,138 @@
+"""The arguments of the dealer's command."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from protocols.scores import SCORES
+from spdz.arithmetic.fixed_point import MAX_NORM
+from spdz.console.command import CommandParser
+from spdz.version import __version__
+
+NAME = "python -m spdz.dealer"
+SPARE = 3  # interruptions that maps are dealt for unless the user says otherwise
+
+_EPILOG = """\
+examples:
+  100 comparisons of 1536-dimensional unit descriptors between two robots:
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1536 --count 100 --max-norm 1 --out mission/
+
+  what it costs that alice's map of 200 and bob's of 300 descriptors meet once, tile by tile (writes nothing):
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1200 --maps 200x300 --max-norm 1 --plan
+
+  and deal for it, with the tile that the plan marks:
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1200 --maps 200x300 --max-norm 1 --out mission/
+
+  and for ten such meetings over a bad radio, with room for 20 interruptions in all:
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1200 --maps 200x300 --meetings 10 --spare 20 \\
+        --max-norm 1 --out mission/
+
+  three robots, every pair; jobs of 16 x 16 descriptors, which send each descriptor once:
+    python -m spdz.dealer --agents alice bob carol --score S10 --dim 1200 \\
+        --tile 16x16 --count 4096 --max-norm 1 --out mission/
+
+scores (docs/scores.md); similarities match at or above the threshold, distances at or below it:
+  S10 dot product, S7 S8 S9 cosine (similarities); S6 squared Euclidean, S4 Euclidean, S2 L1 (distances);
+  S5 S3 S1 are S6 S4 S2 of descriptors that are normalised inside.
+  Normalise on the robot if you can: then S10 is the cosine, and with --max-norm 1 by far the cheapest.
+  S5 and S6 are *squared* distances: for a Euclidean threshold t give t*t to `python -m spdz match`.
+  S1 and S2 store a key for each coordinate of each pair: see the plan first.
+
+Give each robot its own folder (mission/alice, ...) and nothing else. Whoever holds two robots' folders,
+or this machine's memory while it deals, can read what those two robots compare.
+Exit status: 0 dealt or planned, 1 it failed, 2 bad input; with --json an error is one JSON object as well.
+"""
+
+
+def tile(text: str) -> tuple[int, int]:
+    """Parse ``MxK``."""
+    rows, cross, columns = text.lower().partition("x")
+    digits = rows.isascii() and columns.isascii() and rows.isdigit() and columns.isdigit()
+    if not (cross and digits and len(text) < 24 and int(rows) and int(columns)):
+        raise argparse.ArgumentTypeError(f"expected MxK with positive numbers, such as 16x16, not {text!r}")
+    return int(rows), int(columns)
+
+
+def score(text: str) -> str:
+    """A score by its identifier or the paper's name, in any case."""
+    for known in SCORES.values():
+        if text.lower() in (known.name.lower(), known.title.lower()):
+            return known.name
+    names = ", ".join(f"{known.name} {known.title}" for known in SCORES.values())
+    raise argparse.ArgumentTypeError(f"there is no score {text!r}; there are {names} (docs/scores.md)")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments of ``python -m spdz.dealer``."""
+    arguments = CommandParser(
+        prog=NAME,
+        description="Deal what robots need to compare descriptors privately on a mission: one folder a "
+        "robot, with a tape of one-time correlations for every other robot and a certificate.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = arguments.add_argument
+    add(
+        "--agents",
+        nargs="+",
+        required=True,
+        metavar="NAME",
+        help="two or more robots; every pair is dealt; the one that is named earlier is the pair's first",
+    )
+    add("--score", type=score, required=True, metavar="S", help="score function, S1 to S10 (see below)")
+    add("--dim", type=int, required=True, metavar="N", help="length of a descriptor")
+    amount = arguments.add_mutually_exclusive_group(required=True)
+    amount.add_argument("--count", type=int, metavar="C", help="comparisons for every pair of robots")
+    amount.add_argument(
+        "--maps",
+        type=tile,
+        metavar="MxK",
+        help="instead of --count (and --tile): at most M descriptors of a pair's first robot meet at most K "
+        "of its second, all with all (--agents alice bob --maps 200x300: 200 of alice's, 300 of bob's). A "
+        "larger map costs a whole row of tiles more",
+    )
+    add("--meetings", type=int, metavar="N", help="how many times such maps are matched (default 1)")
+    add(
+        "--spare",
+        type=int,
+        metavar="S",
+        help="deal spare jobs for S interruptions of the radio, in all meetings together (default "
+        f"{SPARE} with --maps, 0 with --count; 0: none). One interruption costs the jobs under way, at most "
+        "twice those that share rounds; the plan says how many",
+    )
+    add(
+        "--security",
+        choices=("malicious", "semi-honest"),
+        default="malicious",
+        help="malicious (default): a robot that deviates is caught; semi-honest: robots that follow the "
+        "protocol learn nothing, one that deviates can falsify results",
+    )
+    add(
+        "--reveal",
+        choices=("bit", "score"),
+        default="bit",
+        help="what a comparison tells both robots: whether it is past a threshold (default), or the score",
+    )
+    add(
+        "--tile",
+        type=tile,
+        metavar="MxK",
+        help="descriptors of the first and of the second robot in one job (default 1x1; with --maps the "
+        "one that the plan marks). A job is used as a whole; large tiles send each descriptor once for many "
+        "comparisons",
+    )
+    add(
+        "--max-norm",
+        type=float,
+        default=MAX_NORM,
+        metavar="R",
+        help="largest L2 norm of a descriptor (default 2^22; 1 for normalised descriptors makes tapes for "
+        "bits less than half as large)",
+    )
+    add("--plan", action="store_true", help="show what it will cost, tile by tile; deal and write nothing")
+    add("--out", type=Path, metavar="DIR", help="folder to write the robots' folders into; made if missing")
+    add("--json", action="store_true", help="print JSON instead of text: one object, or one for each tile")
+    add("--quiet", action="store_true", help="no progress bar and no notes")
+    add("--version", action="version", version=f"spdz {__version__}")
+    return arguments
