@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dealer import report
-from dealer.mission import check_agents, deal_mission, mission_bytes
+from dealer.folders import check_agents
+from dealer.mission import deal_mission, mission_bytes
 from dealer.options import NAME, SPARE, parser
 from dealer.plan import (
     Impossible,

@@ -32,20 +32,21 @@ from spdz.values.input_mask import field_offsets
 from spdz.values.value import Value, concatenate
 
 _DELTA = 16
-_SLOTS = 64
+SLOTS_TOGETHER = 64
 """Slots dealt at a time."""
-_TILES_BYTES = 8 << 20
+TILES_BYTES = 8 << 20
 """Stored bytes of tiles dealt at a time, and the most that a tile should have."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Keys:
+class BandKeys:
     """Both parties' band keys: ``of[party][owner][band]``."""
 
     of: tuple[tuple[list[bytes], list[bytes]], tuple[list[bytes], list[bytes]]]
 
     @classmethod
-    def fresh(cls, counts: tuple[int, int]) -> _Keys:
+    def fresh(cls, counts: tuple[int, int]) -> BandKeys:
+        """Random keys for so many row and column bands."""
         first, second = (
             (
                 [secrets.token_bytes(keys.KEY_BYTES) for _ in range(counts[0])],
@@ -68,7 +69,7 @@ def gallery_headers(
 ) -> tuple[GalleryHeader, GalleryHeader]:
     """Both parties' headers."""
     pair = max(plan.pair.correction_bytes)
-    band = next((size for size in (16, 8, 4, 2) if size * size * pair <= _TILES_BYTES), 1)
+    band = next((size for size in (16, 8, 4, 2) if size * size * pair <= TILES_BYTES), 1)
     first, second = (
         GalleryHeader(
             mission=mission,
@@ -121,7 +122,7 @@ def deal_gallery(
         plan, terms, agents, slots, mission=mission, tape=tape, description=description or {}
     )
     mac_key = random_mac_key() if terms.security == "malicious" else None
-    bands = _Keys.fresh(headers[0].bands.counts)
+    bands = BandKeys.fresh(headers[0].bands.counts)
     with ExitStack() as stack:
         writers = []
         for party in (0, 1):
@@ -166,8 +167,8 @@ class GalleryDealing:
         """Deal all slots of one party: their numbers and both parties' corrections."""
         count = self._headers[0].capacity[owner]
         offsets, derived = [], []
-        for start in range(0, count, _SLOTS):
-            numbers = range(start, min(start + _SLOTS, count))
+        for start in range(0, count, SLOTS_TOGETHER):
+            numbers = range(start, min(start + SLOTS_TOGETHER, count))
             streams = (self.slot_stream(0, owner, numbers), self.slot_stream(1, owner, numbers))
             job, outlet = self._job(streams)
             shape = (len(numbers), self._terms.dim)
@@ -185,7 +186,7 @@ class GalleryDealing:
         """Deal all tiles: row band, column band and both parties' corrections."""
         sizes, counts = self._headers[0].bands
         bytes_each = sizes[0] * sizes[1] * max(header.pair_correction for header in self._headers)
-        group = max(1, _TILES_BYTES // max(1, bytes_each))
+        group = max(1, TILES_BYTES // max(1, bytes_each))
         for row_band in range(counts[0]):
             for start in range(0, counts[1], group):
                 columns = range(start, min(start + group, counts[1]))

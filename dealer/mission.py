@@ -7,21 +7,16 @@ before the mission, and absent during it.
 
 from __future__ import annotations
 
-import os
-import secrets
-import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 from pathlib import Path
 
+from dealer.folders import check_agents, mission_folders, sizes, tape_paths
 from dealer.limits import check_job
-from dealer.pki import MissionAuthority, check_name, write_credentials
 from dealer.tapes import deal_tapes, tape_bytes
 from protocols.catalog import Purpose
-from protocols.memory import in_bytes
 from spdz.foundations.types import Security
 from spdz.readings.meter import measure
 
@@ -75,39 +70,13 @@ def deal_mission(
         raise ValueError("deal at least one comparison")
     plan = measure(purpose.dealt_program, purpose.shapes, security)
     check_job(plan)
-    authority = MissionAuthority()
-    credentials = {agent: authority.credentials(agent) for agent in agents}
-    authority.forget()
     needed = mission_bytes(agents, purpose, comparisons, security)
-    there = next(path for path in (out.absolute(), *out.absolute().parents) if os.path.lexists(path))
-    if not there.is_dir():
-        raise NotADirectoryError(f"{there} is not a folder: choose a folder, or a new name, for --out")
-    total, _, free = shutil.disk_usage(there)
-    has_size = total > 0  # /proc and its like have none, and say for themselves what they lack
-    if has_size and needed > free:
-        raise ValueError(
-            f"the tapes would take {in_bytes(needed)} and {in_bytes(free)} are free in {there}: deal "
-            "fewer comparisons, larger tiles or a smaller max_norm"
-        )
-    for agent in agents:
-        if (out / agent).exists():
-            raise FileExistsError(
-                f"{out / agent} exists; dealt material is never overwritten: choose another --out"
-            )
-    fresh = not out.exists()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"the folder {out} cannot be made ({error.strerror}): choose another --out") from error
-    try:
-        for agent in agents:
-            write_credentials(out / agent, credentials[agent])
-        jobs = -(-comparisons // purpose.pairs)
-        mission = secrets.token_hex(16)
-        couples = list(combinations(agents, 2))
+    jobs, couples = -(-comparisons // purpose.pairs), list(combinations(agents, 2))
+    remedy = "deal fewer comparisons, larger tiles or a smaller max_norm"
+    with mission_folders(out, agents, needed, remedy) as mission:
         for number, couple in enumerate(couples):
             deal_tapes(
-                (out / couple[0] / f"{couple[1]}.tape", out / couple[1] / f"{couple[0]}.tape"),
+                tape_paths(out, couple),
                 couple,
                 purpose.dealt_program,
                 purpose.shapes,
@@ -117,27 +86,7 @@ def deal_mission(
                 description=purpose.as_json(),
                 progress=partial(_progress_of, progress, number * jobs, len(couples) * jobs),
             )
-    except BaseException:
-        for agent in agents:  # half a mission is of no use, and these folders were not there before
-            shutil.rmtree(out / agent, ignore_errors=True)
-        if fresh:
-            with suppress(OSError):  # somebody else's files are in it by now
-                out.rmdir()
-        raise
-    sizes = {out / agent: sum(file.stat().st_size for file in (out / agent).iterdir()) for agent in agents}
-    return Dealt(sizes, jobs * purpose.pairs, jobs, len(couples))
-
-
-def check_agents(agents: Sequence[str]) -> None:
-    """Refuse a team that no mission can be dealt for.
-
-    Raises:
-        ValueError: for fewer than two robots, or bad or repeated names.
-    """
-    if len(agents) < 2 or len(set(agents)) != len(agents):
-        raise ValueError("name two or more different robots")
-    for number, agent in enumerate(agents):
-        check_name(agent, {other.lower() for other in agents[:number]})
+    return Dealt(sizes(out, agents), jobs * purpose.pairs, jobs, len(couples))
 
 
 def mission_bytes(agents: Sequence[str], purpose: Purpose, comparisons: int, security: Security) -> int:

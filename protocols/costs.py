@@ -42,6 +42,7 @@ class Gauge(Meter):
         super().__init__(security)
         self.checks, self.workspace = 0, 0
         self.shortened = [0, 0]
+        self.bit_bytes = 0
 
     def read(self, gate: Gate, *operands: Any) -> Any:
         """Comparisons need room for every key at every threshold."""
@@ -66,6 +67,11 @@ class Gauge(Meter):
         saved = ELEMENT_BYTES - input_mask.element_bytes(self.input_mask_bits(source))
         self.shortened[source.owner] += saved * prod(source.shape)
         return super().input_mask(source)
+
+    async def opening_bits(self, bits: int) -> None:
+        """Bits travel eight to a byte, the same number from either party."""
+        self.bit_bytes += -(-bits // 8)
+        await super().opening_bits(bits)
 
     def on_request(self, request: Request) -> None:
         """Count checks by themselves."""
@@ -102,7 +108,10 @@ def job_cost(purpose: Purpose, security: Security) -> JobCost:
     gauge = Gauge(security)
     run_silently(run(gauge, program, declare(program, purpose.shapes)), gauge.on_request)
     plan = measure(program, purpose.shapes, security)
-    sent = [ELEMENT_BYTES * n - gauge.shortened[party] for party, n in enumerate(plan.elements_sent)]
+    sent = [
+        ELEMENT_BYTES * n - gauge.shortened[party] + gauge.bit_bytes
+        for party, n in enumerate(plan.elements_sent)
+    ]
     together = jobs_together(purpose.tile, purpose.dim, plan.correction_bytes)
     return JobCost(plan, gauge.checks, (sent[0], sent[1]), gauge.workspace, together)
 

@@ -28,12 +28,13 @@ def available_memory() -> int:
     return max(0, min(room))
 
 
-def require_memory(needed: int, what: str) -> None:
+def require_memory(needed: int, what: str, remedy: str = "choose a smaller tile") -> None:
     """Refuse what would not fit.
 
     Args:
         needed: Bytes.
         what: What needs them, for the message.
+        remedy: What to do where there are not so many, for the message.
 
     Raises:
         ValueError: naming the need, what is there, and what to do.
@@ -41,8 +42,7 @@ def require_memory(needed: int, what: str) -> None:
     there = available_memory()
     if needed > there:
         raise ValueError(
-            f"{what} needs about {in_bytes(needed)} of memory, and {in_bytes(there)} are available: "
-            "choose a smaller tile"
+            f"{what} needs about {in_bytes(needed)} of memory, and {in_bytes(there)} are available: {remedy}"
         )
 
 

@@ -1,7 +1,6 @@
 """A gallery dealt to files, read back by both parties, filled and compared in this process."""
 
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,8 @@ from spdz.arithmetic.fixed_point import encode
 from spdz.foundations.errors import Unsent
 from spdz.gallery import GalleryTape
 from spdz.readings.gallery import Terms
-from spdz.readings.records import TilePart, pair_stream, slot_stream
+from spdz.readings.records import slot_stream
+from spdz.session.pairs import read_pairs
 
 DELTA = 16  # bytes of a slot's pad that are its Delta
 
@@ -37,7 +37,7 @@ class TwoTapes:
 
     def pair_streams(self, rows: range, columns: range) -> Streams:
         """What either party draws for a rectangle, cut out of the tiles that it reaches over."""
-        first, second = (_pairs(tape, rows, columns) for tape in self.tapes)
+        first, second = (read_pairs(tape, rows, columns) for tape in self.tapes)
         return first, second
 
     def fill(self, owner: int, vectors: np.ndarray, start: int = 0) -> Both:
@@ -63,31 +63,6 @@ def _slots(records):
     return slot_stream(pads[:, DELTA:], corrections, deltas, [record.hash_key for record in records])
 
 
-def _pairs(tape: GalleryTape, rows: range, columns: range):
-    (height, width), (row_bands, column_bands) = tape.header.bands
-    parts = []
-    for row_band in range(row_bands):
-        for column_band in range(column_bands):
-            high = _common(rows, row_band * height, height)
-            wide = _common(columns, column_band * width, width)
-            if high and wide:
-                record = tape.tile(row_band, column_band)
-                cut = _from(high, row_band * height), _from(wide, column_band * width)
-                place = _from(high, rows.start), _from(wide, columns.start)
-                parts.append(
-                    TilePart(*place, record.pad[cut], record.correction[cut], record.delta, record.hash_key)
-                )
-    return pair_stream((len(rows), len(columns)), parts)
-
-
-def _common(asked: range, start: int, size: int) -> range:
-    return range(max(asked.start, start), min(asked.stop, start + size))
-
-
-def _from(part: range, origin: int) -> slice:
-    return slice(part.start - origin, part.stop - origin)
-
-
 def run_gallery(folder: Path, terms: Terms, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Deal, fill and compare all of x with all of y. Where a mask does not suit its vector, once more."""
     for attempt in range(5):
@@ -98,8 +73,3 @@ def run_gallery(folder: Path, terms: Terms, x: np.ndarray, y: np.ndarray) -> np.
             except Unsent:
                 continue
     raise AssertionError("no mask suits")
-
-
-def with_threshold(terms: Terms, program: object) -> Terms:
-    """The same terms with another program."""
-    return replace(terms, program=program)  # type: ignore[arg-type]

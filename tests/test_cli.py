@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from bench.pair import free_port
+from bench.parties import free_port
 from dealer.tapes import deal_tapes
 from protocols.scores import S10
 
@@ -76,7 +76,7 @@ def test_json_is_one_object_with_the_costs(mission):
     assert answers[1]["matches"] == [[0, 1], [1, 2]]
     for answer in answers:
         assert answer["rounds"] == 5 and answer["security"] == "malicious"
-        assert answer["correlations"]["comparison"] == 9 and answer["jobs_left"] == 3
+        assert answer["correlations"]["opened sign"] == 9 and answer["jobs_left"] == 3
 
 
 @pytest.mark.parametrize("as_json", [True, False])

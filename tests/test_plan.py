@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from session_helpers import run_pair, state_dirs
 
-from dealer import cli, plan
+from dealer import cli, options, plan
 from dealer.mission import deal_mission, mission_bytes
 from dealer.plan import Impossible, TilePlan, candidate_tiles, jobs_for, pick, plan_maps, plan_tile
 from protocols import batching, memory
@@ -92,9 +92,9 @@ def test_candidates_differ_fit_the_maps_and_waste_little(maps):
         assert all(n * side - size < n for n, side, size in zip(blocks, tile, maps, strict=True))
 
 
-@pytest.mark.parametrize("score", ["S2", "S10"])
-def test_the_picked_tile_keeps_jobs_small_and_the_link_quick(score):
-    plans = plan_maps(AGENTS, Purpose(score, 1200, max_norm=1.0), (200, 300), "malicious")
+@pytest.mark.parametrize(("score", "maps"), [("S2", (200, 300)), ("S10", (400, 600))])
+def test_the_picked_tile_keeps_jobs_small_and_the_link_quick(score, maps):
+    plans = plan_maps(AGENTS, Purpose(score, 1200, max_norm=1.0), maps, "malicious")
     picked, why = pick(plans)
     assert picked in plans and "link" in why
     assert picked.job_bytes <= batching.DEALT_BYTES and picked.matching_memory <= plan.ROBOT_MEMORY
@@ -188,7 +188,12 @@ def test_bad_words_are_refused_with_status_2_and_as_json(tmp_path, capsys, monke
 
 
 def test_scores_go_by_either_name_in_any_case():
-    assert [cli.score(name) for name in ("S10", "s10", "dotprod", "L2_DIST")] == ["S10", "S10", "S10", "S4"]
+    assert [options.score(name) for name in ("S10", "s10", "dotprod", "L2_DIST")] == [
+        "S10",
+        "S10",
+        "S10",
+        "S4",
+    ]
     assert isinstance(cli.parser(), CommandParser)
 
 

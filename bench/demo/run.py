@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.demo import dataset, places
 from bench.demo.picture import draw_map
-from bench.pair import free_port
+from bench.parties import free_port
 from dealer.mission import deal_mission
 from protocols.candidate import is_candidate
 from protocols.catalog import Purpose

@@ -131,6 +131,11 @@ class FixedKeyHash:
         return run
 
 
+def one_batch(n: int, key: bytes) -> Batches:
+    """All n keys under one public key; no batch where there is no key."""
+    return [(slice(0, n), key)] if n else []
+
+
 class CircularHash:
     """H_k(x) = AES_k(sigma(x)) xor sigma(x), sigma(low, high) = (high, high xor low), for batches of blocks.
 

@@ -99,8 +99,8 @@ class Filling:
         step.own += [slot for slot, words in entries if words is not None]
         frames = [words for _, words in told if words is not None]
         reply = self.channel.exchange(FrameKind.DATA, frames, self._size * (count - len(void)))
-        step.stats.rounds += 1
-        step.stats.bytes_sent += HEADER_BYTES + sum(map(len, frames))
+        step.filling.stats.rounds += 1
+        step.filling.stats.bytes_sent += HEADER_BYTES + sum(map(len, frames))
         received = self._received(peer.filled, count, void, reply)
         self.place(1 - self.party, received)  # refuses bad words before they are kept
         peer.fill(received)

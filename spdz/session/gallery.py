@@ -54,7 +54,7 @@ from spdz.session.strips import (
 STRIP_PAIRS = 1 << 16
 """Most pairs of a strip, unless it is one row or column."""
 
-_CELL_BYTES = 64 << 20
+CELL_BYTES = 64 << 20
 """Most stored bytes of the pairs that are compared at a time."""
 
 _PREPARED = 128
@@ -91,6 +91,7 @@ class GallerySession(Lifecycle):
         self._waiting = [] if waiting is None else waiting
         self._filling = Filling(tape, terms, ledger, self._shelves, channel, self._waiting)
         self._again: Strip | None = None
+        self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
             own = handshake.Hello.of_gallery(tape.header)
@@ -152,9 +153,8 @@ class GallerySession(Lifecycle):
         """
         self._require_alive()
         raw = quantised(self._terms, descriptors)
-        with self._turn:
-            self.require_room(len(raw))
-            self._waiting += list(raw)
+        self.require_room(len(raw))
+        self._waiting += list(raw)
 
     def step(
         self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
@@ -172,10 +172,12 @@ class GallerySession(Lifecycle):
         with self._guard():
             step, more = Step() if into is None else into, True
             while more:
-                more = self._filling.exchange(self._agreement, step)
-                self._begin()
-                self._prepare(step.stats)
-                self._compare_new(step, on_block)
+                with step.filling.timed() as stats:
+                    more = self._filling.exchange(self._agreement, step)
+                    self._begin()
+                    self._prepare(stats)
+                with step.comparing.timed():
+                    self._compare_new(step, on_block)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -202,7 +204,7 @@ class GallerySession(Lifecycle):
             )
 
     def _prepare(self, stats: Stats) -> None:
-        """Prepare and prove all slots that are not ready, of both parties in the same rounds."""
+        """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
@@ -212,11 +214,12 @@ class GallerySession(Lifecycle):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
                 self._ledger.slots[shelf.owner].note(dict(zip(slots, party.notes(len(slots)), strict=True)))
+                self._ready[shelf.owner] = slots[-1] + 1
 
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(slots.ready, slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -243,7 +246,7 @@ class GallerySession(Lifecycle):
             self._ledger.begin(strip)
         first, second = (set(slots.voids) for slots in self._ledger.slots)
         parts = [
-            self._run_cell(rows, columns, step.stats)
+            self._run_cell(rows, columns, step.comparing.stats)
             for rows, columns in cells(strip, (first, second), self._most_pairs)
         ]
         if kept:
@@ -256,7 +259,7 @@ class GallerySession(Lifecycle):
 
     @property
     def _most_pairs(self) -> int:
-        return max(1, min(STRIP_PAIRS, _CELL_BYTES // max(1, self._tape.header.pair_correction)))
+        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, self._tape.header.pair_correction)))
 
     def _run_cell(self, rows: range, columns: range, stats: Stats) -> Cell:
         stream = read_pairs(self._tape, rows, columns)
@@ -294,6 +297,7 @@ class GallerySession(Lifecycle):
         if agreed.burn is not None and not within(agreed.burn, ledger.done):
             ledger.burn(agreed.burn)
         self._filling.sent, self._again = agreed.send, agreed.again
+        self._ready = [min(pair) for pair in zip(own.ready, peer.ready, strict=True)]
 
     def _restore(self) -> None:
         """Read what earlier sessions have filled."""

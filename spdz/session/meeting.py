@@ -80,6 +80,9 @@ class Standpoint:
                 a, b, c, d = (_whole(number, max(capacity)) for number in flight)
                 strip = Strip(range(a, b), range(c, d))
                 grown(done, strip)
+                _within((strip.rows.stop, strip.columns.stop), filled)
+            _within(done, filled)
+            _within(prepared, filled)
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise ProtocolViolation(f"the peer's account of its gallery is malformed ({error})") from None
         return cls(filled, prepared, void, done, strip)
@@ -88,6 +91,11 @@ class Standpoint:
 def _pair(value: Any, most: Sequence[int]) -> tuple[int, int]:
     first, second = value
     return _whole(first, most[0]), _whole(second, most[1])
+
+
+def _within(inner: tuple[int, int], outer: tuple[int, int]) -> None:
+    if inner[0] > outer[0] or inner[1] > outer[1]:
+        raise ValueError("more is said to be used than was filled")
 
 
 def _whole(number: Any, most: int) -> int:

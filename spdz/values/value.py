@@ -92,11 +92,10 @@ class Value(Secret):
                 f"this program can produce numbers of {bound.entry.bit_length()} bits, which do not fit the "
                 "field of 127 bits: use fewer products, truncate between them, or allow a smaller max_norm"
             )
-        self.engine, self._parts, self.shape = engine, parts, shape
-        self.frac, self.bound = frac, bound
-        self.masked, self.is_bit, self.plain = masked, is_bit, plain
-        self.mask_bits, self.span, self.sign_of = mask_bits, span, sign_of
-        self.standing = standing
+        self.engine, self._parts = engine, parts
+        self.shape, self.frac, self.bound = shape, frac, bound
+        self.masked, self.is_bit, self.mask_bits, self.span = masked, is_bit, mask_bits, span
+        self.plain, self.sign_of, self.standing = plain, sign_of, standing
 
     def __repr__(self) -> str:
         kind = "masked" if self.masked else "shared"
@@ -219,8 +218,8 @@ class Value(Secret):
         if not all(one is None or one is Ellipsis or type(one) in (int, slice) for one in keys):
             raise TypeError("a value is indexed by integers, slices, None and ... only")
         shape = np.broadcast_to(np.False_, self.shape)[keys].shape
-        # Leading integers and slices leave the last axis as it is, or cut it.
-        kept = len(keys) < self.ndim and all(type(one) in (int, slice) for one in keys)
+        # With fewer keys than axes, and no dots that stand for some, the last axis stays as it is.
+        kept = Ellipsis not in keys and sum(one is not None for one in keys) < self.ndim
         bound = self.bound if kept else Bound.of_entry(self.bound.entry, shape)
         result = self._map(lambda part: self.engine.ring.index(part, keys), shape, bound)
         result.is_bit = self.is_bit
