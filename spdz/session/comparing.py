@@ -68,7 +68,7 @@ class Comparing:
 
     @property
     def _most_pairs(self) -> int:
-        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, self.tape.header.pair_correction)))
+        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, *self.plan.pair.correction_bytes)))
 
     def _run_strip(
         self, strip: Strip, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]

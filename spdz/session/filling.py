@@ -84,19 +84,18 @@ class Filling:
         """
         own, peer = self.ledger.slots[self.party], self.ledger.slots[1 - self.party]
         entries, taken = self._masked(max(1, min(MOST, _BYTES // self._size)))
-        unsent = list(enumerate(own.eps(self.sent, own.filled), self.sent))
-        told = [*unsent, *entries]
+        own.fill(entries)  # before anything is told: a void slot stays void, whatever the peer does
+        del self.waiting[:taken]
+        step.own += [slot for slot, words in entries if words is not None]
+        told = list(enumerate(own.eps(self.sent, own.filled), self.sent))
         offer: dict[str, Json] = {
             "from": self.sent,
             "slots": len(told),
             "void": [i for i, (_, words) in enumerate(told) if words is None],
-            "more": len(self.waiting) > taken,
+            "more": bool(self.waiting),
         }
         answer = agreement.control(offer, *offer)
         count, void = self._read_offer(answer, peer.filled)
-        own.fill(entries)
-        del self.waiting[:taken]
-        step.own += [slot for slot, words in entries if words is not None]
         frames = [words for _, words in told if words is not None]
         reply = self.channel.exchange(FrameKind.DATA, frames, self._size * (count - len(void)))
         step.filling.stats.rounds += 1
@@ -108,6 +107,15 @@ class Filling:
         step.peer += [slot for slot, words in received if words is not None]
         self.sent = own.filled
         return bool(self.waiting) or bool(answer["more"])
+
+    def take_back(self, slots: Sequence[int]) -> None:
+        """Bring the descriptors in own slots that become void once more, in other slots."""
+        own, shelf, terms = self.ledger.slots[self.party], self.shelves[self.party], self.terms
+        held = [(slot, words) for slot in slots if (words := own.eps(slot, slot + 1)[0]) is not None]
+        if held:
+            raw = b"".join(words for _, words in held)
+            masked = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            self.waiting[:0] = list(masked - shelf.masks([slot for slot, _ in held]))
 
     def place(self, owner: int, entries: Sequence[Entry]) -> None:
         """Put words on the shelf.

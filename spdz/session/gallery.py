@@ -247,12 +247,13 @@ class GallerySession(Lifecycle):
         agreed = meet(own, peer, self.party, self._plan)
         mine = ledger.slots[self.party]
         mine.fill([(mine.filled + i, None) for i in range(agreed.lost)])
+        self._ready = [min(pair) for pair in zip(own.ready, peer.ready, strict=True)]
+        self._filling.take_back([slot for slot in agreed.void[self.party] if slot >= self._ready[self.party]])
         for slots, void in zip(ledger.slots, agreed.void, strict=True):
             slots.void(void)
         if agreed.burn is not None and not within(agreed.burn, ledger.done):
             ledger.burn(agreed.burn)
         self._filling.sent, self._comparing.again = agreed.send, agreed.again
-        self._ready = [min(pair) for pair in zip(own.ready, peer.ready, strict=True)]
 
     def _restore(self) -> None:
         """Read what earlier sessions have filled."""
