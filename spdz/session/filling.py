@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from spdz.channels import Channel, FrameKind
-from spdz.channels.frames import HEADER_BYTES
+from spdz.channels.frames import HEADER_BYTES, MAX_FRAME
 from spdz.foundations.errors import OutOfStep, ProtocolViolation, TapeExhausted
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
@@ -83,9 +83,11 @@ class Filling:
             Whether either side has more to bring.
         """
         own, peer = self.ledger.slots[self.party], self.ledger.slots[1 - self.party]
-        entries = self._masked(max(1, min(MOST, _BYTES // self._size)))
-        unsent = list(enumerate(own.eps(self.sent, own.filled), self.sent))
-        told = [*unsent, *entries]
+        unsent = own.filled - self.sent
+        entries = self._masked(max(1, min(MOST, _BYTES // self._size)) - unsent)
+        own.fill(entries)  # before anything is told of them
+        self.place(self.party, entries)
+        told = list(enumerate(own.eps(self.sent, own.filled), self.sent))
         offer: dict[str, Json] = {
             "from": self.sent,
             "slots": len(told),
@@ -94,7 +96,6 @@ class Filling:
         }
         answer = agreement.control(offer, *offer)
         count, void = self._read_offer(answer, peer.filled)
-        own.fill(entries)
         frames = [words for _, words in told if words is not None]
         reply = self.channel.exchange(FrameKind.DATA, frames, self._size * (count - len(void)))
         step.stats.rounds += 1
@@ -102,7 +103,6 @@ class Filling:
         received = self._received(peer.filled, count, void, reply)
         self.place(1 - self.party, received)  # refuses bad words before they are kept
         peer.fill(received)
-        self.place(self.party, entries)
         step.own += [slot for slot, words in entries if words is not None]
         step.peer += [slot for slot, words in received if words is not None]
         self.sent = own.filled
@@ -152,9 +152,10 @@ class Filling:
         well_formed = (
             type(count) is int
             and type(answer["more"]) is bool
-            and 0 <= count <= min(2 * MOST + 1, capacity - filled)
+            and 0 <= count <= min(MOST, capacity - filled)
             and isinstance(void, list)
             and all(type(one) is int and 0 <= one < count for one in void)
+            and self._size * (count - len(set(void))) <= MAX_FRAME
         )
         if not well_formed:
             raise ProtocolViolation("the peer's offer of slots is malformed, or more than its gallery holds")

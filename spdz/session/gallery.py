@@ -80,7 +80,8 @@ class GallerySession(Lifecycle):
         self._tape, self._ledger, self._terms = tape, ledger, terms
         self._shelves = (Shelf(tape, terms, 0), Shelf(tape, terms, 1))
         self._filling = Filling(tape, terms, ledger, self._shelves, channel, [])
-        self._again: Strip | None = None
+        self._again: list[Strip] = []
+        self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
             own = handshake.Hello.of_gallery(tape.header)
@@ -190,11 +191,12 @@ class GallerySession(Lifecycle):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
                 self._ledger.slots[shelf.owner].note(dict(zip(slots, party.notes(len(slots)), strict=True)))
+                self._ready[shelf.owner] = slots[-1] + 1
 
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(slots.ready, slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -205,9 +207,8 @@ class GallerySession(Lifecycle):
             )
 
     def _compare_new(self, step: Step, on_block: Callable[[Block], None]) -> None:
-        if self._again is not None:
-            strip, self._again = self._again, None
-            self._run_strip(strip, step, on_block)
+        while self._again:
+            self._run_strip(self._again.pop(0), step, on_block)
         first, second = self._ledger.slots
         for strip in between(self._ledger.done, (first.filled, second.filled)):
             for piece in pieces(strip, min(STRIP_PAIRS, self._most_pairs)):
@@ -269,9 +270,10 @@ class GallerySession(Lifecycle):
         mine.fill([(mine.filled + i, None) for i in range(agreed.lost)])
         for slots, void in zip(ledger.slots, agreed.void, strict=True):
             slots.void(void)
-        if agreed.burn is not None and not within(agreed.burn, ledger.done):
-            ledger.burn(agreed.burn)
-        self._filling.sent, self._again = agreed.send, agreed.again
+        for strip in agreed.burn:
+            if not within(strip, ledger.done):
+                ledger.burn(strip)
+        self._filling.sent, self._ready, self._again = agreed.send, list(agreed.ready), agreed.again
 
     def _restore(self) -> None:
         """Read what earlier sessions have filled."""
@@ -280,7 +282,8 @@ class GallerySession(Lifecycle):
             for start in range(0, slots.filled, _PREPARED):
                 entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
-                known = [slot for slot, words in entries if words is not None and slot < slots.ready]
+                ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
+                known = [slot for slot, words in entries if words is not None and slot < ready]
                 shelf.restore(known, [slots.noted(slot) or b"" for slot in known], self._alpha)
 
     @property
