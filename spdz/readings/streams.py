@@ -132,7 +132,7 @@ class RecordStream:
         if stop > rows.shape[1]:
             raise TapeDamaged("a record is shorter than the program needs")
         self._at[buffer] = stop
-        return np.ascontiguousarray(rows[:, start:stop]).view("<u8").reshape(len(rows), count, 2)
+        return rows[:, start:stop].view("<u8").reshape(len(rows), count, 2)
 
     def _entries(self, buffer: int, shape: Shape) -> Block:
         return restored(self._rows(buffer, self.each(shape)), self._order).reshape((*shape, 2))
