@@ -140,12 +140,6 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
     Raises:
         TapeMismatch: if they differ by more than one step of an honest run.
     """
-    for used in (peer.done, peer.flight and (peer.flight.rows.stop, peer.flight.columns.stop)):
-        if used and (used[0] > own.filled[0] or used[1] > own.filled[1]):
-            raise TapeMismatch(
-                f"the peer has compared {used[0]} x {used[1]} slots and this side knows of {own.filled[0]} "
-                f"and {own.filled[1]}: one of the galleries was restored from an old copy. Deal new tapes"
-            )
     for owner in (0, 1):
         if abs(own.filled[owner] - peer.filled[owner]) > MOST:
             raise TapeMismatch(
