@@ -14,10 +14,9 @@ from bench.gallery_new import NewRow, measure_new
 from bench.gallery_pairs import GalleryRow, TileRow, measure_pairs
 from bench.gallery_stream import StreamRow, measure_stream
 from bench.recorded_batch import recorded_batches
+from protocols.catalog import GalleryPurpose, parse_resolution
 from spdz.console.command import CommandParser, run_command
 from spdz.console.progress import progress_bar
-from spdz.foundations.types import Security
-from spdz.readings.gallery import Terms
 
 _EPILOG = """\
 Two processes on this machine, pinned to a core each where the system allows it, over TLS on loopback. Tapes
@@ -52,20 +51,6 @@ examples:
 """
 
 
-def resolution(text: str) -> int | None:
-    """Fractional bits from ``2^-16`` or ``exact``.
-
-    Raises:
-        argparse.ArgumentTypeError: for anything else.
-    """
-    if text == "exact":
-        return None
-    bits = text.removeprefix("2^-")
-    if bits == text or not bits.isdecimal() or not 1 <= int(bits) <= 32:
-        raise argparse.ArgumentTypeError(f"a resolution is 2^-1 to 2^-32, or exact, not {text!r}")
-    return int(bits)
-
-
 def parser() -> argparse.ArgumentParser:
     """The arguments of ``python -m bench gallery``."""
     arguments = CommandParser(
@@ -79,7 +64,7 @@ def parser() -> argparse.ArgumentParser:
     add("--rows", type=int, default=256, help="descriptors of one side (256)")
     add("--columns", type=int, default=256, help="descriptors of the other (256)")
     add("--security", nargs="+", default=["malicious"], choices=("malicious", "semi-honest"))
-    add("--resolution", type=resolution, default=16, metavar="R", help="2^-16 (default), another, or exact")
+    add("--resolution", default="2^-16", metavar="R", help="2^-16 (default), another, or exact")
     add("--threshold", type=float, default=0.8, help="of the decisions (0.8)")
     add("--trials", type=int, default=3, help="counted galleries, or counted arrivals of --new (3)")
     add("--no-proof", action="store_true", help="do not prove the norms of descriptors")
@@ -105,36 +90,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     if options.new is not None and options.stream is not None:
         arguments.error("--new and --stream are two questions: ask one at a time")
     try:
-        return run_command("python -m bench gallery", lambda: _run(options), as_json=options.json)
+        resolution = parse_resolution(options.resolution)
+        purpose = GalleryPurpose("S10", options.dim, resolution=resolution, proof=not options.no_proof)
+        asked = [tapes.Asked(purpose, options.threshold, one, options.seed) for one in options.security]
+        return run_command("python -m bench gallery", lambda: _run(options, asked), as_json=options.json)
     except ValueError as error:
         arguments.error(str(error))
 
 
-def _run(options: argparse.Namespace) -> int:
-    for security in options.security:
-        if options.stream is not None:
-            _stream(options, security)
-        elif options.new is not None:
-            _new(options, security)
-        else:
-            _pairs(options, security)
+def _run(options: argparse.Namespace, asked: Sequence[tapes.Asked]) -> int:
+    measure = _stream if options.stream is not None else _pairs if options.new is None else _new
+    for one in asked:
+        measure(options, one)
     return 0
 
 
-def _terms(options: argparse.Namespace, security: Security) -> Terms:
-    return tapes.terms(
-        options.dim, options.threshold, security, options.resolution, proof=not options.no_proof
-    )
-
-
-def _pairs(options: argparse.Namespace, security: Security) -> None:
-    with progress_bar(security, quiet=options.json) as report:
+def _pairs(options: argparse.Namespace, asked: tapes.Asked) -> None:
+    with progress_bar(asked.security, quiet=options.json) as report:
         row, tiles = measure_pairs(
-            _terms(options, security),
-            options.threshold,
+            asked,
             (options.rows, options.columns),
             options.trials,
-            options.seed,
             tiles=options.compare,
             report=report,
         )
@@ -186,17 +162,9 @@ def _print_pairs(row: GalleryRow, tiles: TileRow | None, others: Sequence[dict[s
         )
 
 
-def _new(options: argparse.Namespace, security: Security) -> None:
-    with progress_bar(security, quiet=options.json) as report:
-        row = measure_new(
-            _terms(options, security),
-            options.threshold,
-            options.new,
-            options.stored,
-            options.trials,
-            options.seed,
-            report=report,
-        )
+def _new(options: argparse.Namespace, asked: tapes.Asked) -> None:
+    with progress_bar(asked.security, quiet=options.json) as report:
+        row = measure_new(asked, options.new, options.stored, options.trials, report=report)
     others = _one_row(row) if options.compare else []
     if options.json:
         print(json.dumps({**asdict(row), **({"recorded": others} if options.compare else {})}), flush=True)
@@ -225,7 +193,7 @@ def _one_row(row: NewRow) -> list[dict[str, Any]]:
     ]
 
 
-def _stream(options: argparse.Namespace, security: Security) -> None:
+def _stream(options: argparse.Namespace, asked: tapes.Asked) -> None:
     def show(row: StreamRow) -> None:
         if options.json:
             print(json.dumps(asdict(row)), flush=True)
@@ -240,11 +208,10 @@ def _stream(options: argparse.Namespace, security: Security) -> None:
     if not options.json:
         print("delay: median, 95 %, largest of the keyframes since the line before; keyframes of both sides")
     measure_stream(
-        _terms(options, security),
+        asked,
         options.stream,
         options.seconds,
-        options.seed,
-        dealing=progress_bar(f"{security}: dealing", quiet=options.json),
+        dealing=progress_bar(f"{asked.security}: dealing", quiet=options.json),
         on_row=show,
     )
 

@@ -14,8 +14,9 @@ import numpy as np
 from bench import gallery_tapes as tapes
 from bench.parties import Note, free_port, most_memory, pin, run_processes
 from spdz.console.progress import Report
-from spdz.foundations.types import FloatArray
-from spdz.readings.gallery import Terms
+
+_TOGETHER = 250
+"""Descriptors that come together until all stand."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +63,8 @@ class NewRow:
 @dataclass(frozen=True, slots=True)
 class _Task:
     folder: Path
-    terms: Terms
+    asked: tapes.Asked
     port: int
-    inputs: tuple[FloatArray, FloatArray]
     new: int
 
 
@@ -79,37 +79,35 @@ class _Measured:
     max_rss_mb: float = 0.0
 
 
-def measure_new(
-    terms: Terms, threshold: float, new: int, stored: int, trials: int, seed: int, *, report: Report
-) -> NewRow:
+def measure_new(asked: tapes.Asked, new: int, stored: int, trials: int, *, report: Report) -> NewRow:
     """Deal, fill one side, and let keyframes come at the other.
 
     Args:
-        terms: What to deal for.
-        threshold: Of the decisions.
+        asked: What to measure.
         new: Keyframes at a time.
         stored: Descriptors that stand.
         trials: Arrivals counted.
-        seed: Of the descriptors.
         report: Told of progress.
     """
     counts = (new * (trials + 1), stored)
-    inputs = tapes.places(counts, terms.dim, threshold, seed)
+    inputs = tapes.places(counts, asked)
     with TemporaryDirectory(prefix="spdz-bench-") as temporary:
         folder = Path(temporary)
-        tapes.deal(tapes.Dealing((folder,), terms, counts), report)
+        tapes.deal(tapes.Dealing((folder,), asked, counts), report)
         tape_bytes = max(tapes.tape_path(folder, party).stat().st_size for party in (0, 1))
-        task = _Task(folder, terms, free_port(), inputs, new)
+        for party in (0, 1):
+            np.save(_file(folder, party), inputs[party])
+        task = _Task(folder, asked, free_port(), new)
         first, second = run_processes(_party, task, on_note=lambda _, done: report(*done))
     slower = [max(pair) * 1e3 for pair in zip(first.seconds, second.seconds, strict=True)]
     comparing = [max(pair) * 1e3 for pair in zip(first.comparing, second.comparing, strict=True)]
     decided = [np.concatenate(first.decisions), np.concatenate(second.decisions, axis=1).T]
     return NewRow(
-        n=terms.dim,
+        n=asked.purpose.dim,
         new=new,
         stored=stored,
-        security=terms.security,
-        resolution=tapes.resolution_name(terms),
+        security=asked.security,
+        resolution=asked.purpose.step_text,
         median_ms=round(statistics.median(slower), 2),
         min_ms=round(min(slower), 2),
         max_ms=round(max(slower), 2),
@@ -117,34 +115,44 @@ def measure_new(
         bytes_sent=max(first.bytes_sent, second.bytes_sent),
         tape_bytes=tape_bytes,
         max_rss_mb=(first.max_rss_mb, second.max_rss_mb),
-        differ=sum(tapes.differing(terms, threshold, one, inputs[0][new:], inputs[1]) for one in decided),
+        differ=sum(tapes.differing(asked, one, inputs[0][new:], inputs[1]) for one in decided),
         engine="spdz",
-        threshold=threshold,
+        threshold=asked.threshold,
         trials=trials,
     )
+
+
+def _file(folder: Path, party: int) -> Path:
+    """A party's descriptors: each reads its own, a part at a time, so that its memory is a robot's."""
+    return folder / f"{party}.npy"
 
 
 def _party(index: int, task: _Task, pipe: Any) -> None:
     """Timed: the whole of a step, from the plain descriptors on."""
     pin(index)
-    found, own = _Measured(), task.inputs[0]
-    with tapes.open_side(task.folder, index, task.terms, task.port) as gallery:
-        if index == 1:
-            gallery.add(task.inputs[1])
-        first = gallery.step()
-        pipe.send(Note((1, len(own) + 1)))
-        for start in range(0, len(own), task.new):
+    found, (coming, standing) = _Measured(), (np.load(_file(task.folder, k), mmap_mode="r") for k in (0, 1))
+    total = len(standing) + len(coming)
+    with tapes.open_side(task.folder, index, task.asked, task.port) as gallery:
+        slots: list[int] = []
+        for start in range(0, len(standing), _TOGETHER):
+            if index == 1:
+                gallery.add(np.array(standing[start : start + _TOGETHER]))
+            step = gallery.step()
+            slots += step.peer if index == 0 else step.own
+            pipe.send(Note((len(slots), total)))
+        for start in range(0, len(coming), task.new):
+            new = np.array(coming[start : start + task.new])
             started = time.perf_counter()
             if index == 0:
-                gallery.add(own[start : start + task.new])
+                gallery.add(new)
             step = gallery.step()
             seconds = time.perf_counter() - started
             if start:
                 found.seconds.append(seconds)
                 found.comparing.append(step.comparing.seconds)
-                slots = (step.own, first.peer) if index == 0 else (first.own, step.peer)
-                found.decisions.append(tapes.decided(step.blocks, *slots))
+                which = (step.own, slots) if index == 0 else (slots, step.peer)
+                found.decisions.append(tapes.decided(step.blocks, *which))
             found.bytes_sent = step.stats.bytes_sent
-            pipe.send(Note((start + task.new + 1, len(own) + 1)))
+            pipe.send(Note((len(slots) + start + task.new, total)))
     found.max_rss_mb = most_memory()
     pipe.send(found)

@@ -17,7 +17,6 @@ from protocols.catalog import Purpose
 from protocols.matching import match
 from spdz.console.progress import Report
 from spdz.foundations.types import FloatArray
-from spdz.readings.gallery import Terms
 from spdz.session import Session
 from spdz.session.connect import open_session
 
@@ -90,8 +89,7 @@ class TileRow:
 @dataclass(frozen=True, slots=True)
 class _Task:
     folder: Path
-    terms: Terms
-    threshold: float
+    asked: tapes.Asked
     inputs: tuple[FloatArray, FloatArray]
     trials: int
     tiles: bool
@@ -111,11 +109,9 @@ class _Measured:
 
 
 def measure_pairs(
-    terms: Terms,
-    threshold: float,
+    asked: tapes.Asked,
     counts: tuple[int, int],
     trials: int,
-    seed: int,
     *,
     tiles: bool,
     report: Report,
@@ -123,31 +119,29 @@ def measure_pairs(
     """Deal, run both parties, and return what they measured; one more gallery, not counted, warms up.
 
     Args:
-        terms: What to deal for.
-        threshold: Of the decisions.
+        asked: What to measure.
         counts: Descriptors of party 0 and of party 1.
         trials: Galleries counted.
-        seed: Of the descriptors.
         tiles: Whether to run the same pairs as jobs, in turn with the galleries.
         report: Told of progress.
     """
-    inputs = tapes.places(counts, terms.dim, threshold, seed)
+    inputs = tapes.places(counts, asked)
     pairs = counts[0] * counts[1]
     with TemporaryDirectory(prefix="spdz-bench-") as temporary:
         folder = Path(temporary)
         folders = tuple(_gallery(folder, trial) for trial in range(trials + 1))
-        dealt = tapes.deal(tapes.Dealing(folders, terms, counts), report)
-        stored = tapes.stored(folders[0], terms)
-        job_bytes = _deal_tiles(folder, terms, counts, trials + 1) if tiles else 0.0
-        task = _Task(folder, terms, threshold, inputs, trials, tiles, free_port())
+        dealt = tapes.deal(tapes.Dealing(folders, asked, counts), report)
+        stored = tapes.stored(folders[0], asked)
+        job_bytes = _deal_tiles(folder, asked, counts, trials + 1) if tiles else 0.0
+        task = _Task(folder, asked, inputs, trials, tiles, free_port())
         both: list[_Measured] = run_processes(_party, task, on_note=lambda index, done: report(*done))
     slower = _slower(both, "seconds")
     row = GalleryRow(
-        n=terms.dim,
+        n=asked.purpose.dim,
         rows=counts[0],
         columns=counts[1],
-        security=terms.security,
-        resolution=tapes.resolution_name(terms),
+        security=asked.security,
+        resolution=asked.purpose.step_text,
         pairs_per_s=_rate(pairs, statistics.median(slower)),
         best_pairs_per_s=_rate(pairs, min(slower)),
         bytes_per_pair=round(max(one.pair_bytes for one in both) / pairs, 3),
@@ -156,11 +150,9 @@ def measure_pairs(
         tape_bytes_per_descriptor=stored.slot,
         tape_bytes_per_descriptor_unproved=stored.unproved,
         dealt_pairs_per_s=round(max(dealt), 1),
-        differ=sum(
-            tapes.differing(terms, threshold, bits, *inputs) for one in both for bits in one.decisions
-        ),
+        differ=sum(tapes.differing(asked, bits, *inputs) for one in both for bits in one.decisions),
         engine="spdz",
-        threshold=threshold,
+        threshold=asked.threshold,
         trials=trials,
     )
     if not tiles:
@@ -191,12 +183,12 @@ def _tile(counts: tuple[int, int]) -> tuple[int, int]:
     return min(counts[0], TILE), min(counts[1], TILE)
 
 
-def _deal_tiles(folder: Path, terms: Terms, counts: tuple[int, int], times: int) -> float:
+def _deal_tiles(folder: Path, asked: tapes.Asked, counts: tuple[int, int], times: int) -> float:
     """Deal jobs for all pairs, so many times; returns the larger party's stored bytes a pair."""
     tile = _tile(counts)
     jobs = -(-counts[0] // tile[0]) * -(-counts[1] // tile[1])
-    purpose = Purpose("S10", terms.dim, tile=tile, max_norm=tapes.MAX_NORM)
-    deal_mission(folder / "tiles", tapes.AGENTS, purpose, times * jobs * purpose.pairs, terms.security)
+    purpose = Purpose("S10", asked.purpose.dim, tile=tile, max_norm=asked.purpose.max_norm)
+    deal_mission(folder / "tiles", tapes.AGENTS, purpose, times * jobs * purpose.pairs, asked.security)
     sizes = [_tile_tape(folder, party).stat().st_size for party in (0, 1)]
     return max(sizes) / (times * jobs * purpose.pairs)
 
@@ -212,7 +204,7 @@ def _party(index: int, task: _Task, pipe: Any) -> None:
     with ExitStack() as stack:
         session = stack.enter_context(_open_tiles(index, task)) if task.tiles else None
         for trial in range(task.trials + 1):
-            with tapes.open_side(_gallery(task.folder, trial), index, task.terms, task.port) as gallery:
+            with tapes.open_side(_gallery(task.folder, trial), index, task.asked, task.port) as gallery:
                 gallery.add(own)
                 step = gallery.step()
             if trial:
@@ -224,7 +216,7 @@ def _party(index: int, task: _Task, pipe: Any) -> None:
             )
             if session is not None:
                 started = time.perf_counter()
-                matches = match(session, own, task.threshold)
+                matches = match(session, own, task.asked.threshold)
                 if trial:
                     found.tile_seconds.append(time.perf_counter() - started)
                 found.tile_bytes = matches.stats.bytes_sent

@@ -16,7 +16,6 @@ import numpy as np
 from bench import gallery_tapes as tapes
 from bench.parties import Note, free_port, memory, pin, run_processes
 from spdz.console.progress import Report
-from spdz.readings.gallery import Terms
 
 STRETCHES = 10
 """Lines that a stream prints."""
@@ -52,11 +51,10 @@ class StreamRow:
 @dataclass(frozen=True, slots=True)
 class _Task:
     folder: Path
-    terms: Terms
+    asked: tapes.Asked
     port: int
     rate: float
     count: int
-    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +70,9 @@ class _Stretch:
 
 
 def measure_stream(
-    terms: Terms,
+    asked: tapes.Asked,
     rate: float,
     seconds: float,
-    seed: int,
     *,
     dealing: AbstractContextManager[Report],
     on_row: Callable[[StreamRow], None],
@@ -83,10 +80,9 @@ def measure_stream(
     """Deal, then let keyframes come on both sides.
 
     Args:
-        terms: What to deal for.
+        asked: What to measure.
         rate: Keyframes a second on either side.
         seconds: How long.
-        seed: Of the descriptors.
         dealing: Gives what is told of the progress of dealing.
         on_row: Called with every stretch as it ends.
     """
@@ -96,21 +92,21 @@ def measure_stream(
     def note(index: int, stretch: _Stretch) -> None:
         waiting[index].append(stretch)
         if all(waiting):
-            on_row(_row(terms, rate, waiting[0].pop(0), waiting[1].pop(0)))
+            on_row(_row(asked, rate, waiting[0].pop(0), waiting[1].pop(0)))
 
     with TemporaryDirectory(prefix="spdz-bench-") as temporary:
         folder = Path(temporary)
         with dealing as report:
-            tapes.deal(tapes.Dealing((folder,), terms, (count, count)), report)
-        run_processes(_party, _Task(folder, terms, free_port(), rate, count, seed), on_note=note)
+            tapes.deal(tapes.Dealing((folder,), asked, (count, count)), report)
+        run_processes(_party, _Task(folder, asked, free_port(), rate, count), on_note=note)
 
 
-def _row(terms: Terms, rate: float, first: _Stretch, second: _Stretch) -> StreamRow:
+def _row(asked: tapes.Asked, rate: float, first: _Stretch, second: _Stretch) -> StreamRow:
     delays = np.array(first.delays + second.delays) * 1e3
     middle, most, largest = (round(float(ms), 1) for ms in np.percentile(delays, [50, 95, 100]))
     return StreamRow(
-        n=terms.dim,
-        security=terms.security,
+        n=asked.purpose.dim,
+        security=asked.security,
         rate=rate,
         second=round(max(first.second, second.second), 1),
         keyframes=first.keyframes,
@@ -124,8 +120,8 @@ def _row(terms: Terms, rate: float, first: _Stretch, second: _Stretch) -> Stream
 def _party(index: int, task: _Task, pipe: Any) -> None:
     """Add what has come, step, and again; both see the same numbers, so both end after the same step."""
     pin(index)
-    generator = np.random.default_rng([task.seed, index])
-    with tapes.open_side(task.folder, index, task.terms, task.port) as gallery:
+    generator = np.random.default_rng([task.asked.seed, index])
+    with tapes.open_side(task.folder, index, task.asked, task.port) as gallery:
         gallery.step()
         started = time.perf_counter()
         added, own, peer, pairs = 0, 0, 0, 0
@@ -134,7 +130,7 @@ def _party(index: int, task: _Task, pipe: Any) -> None:
             if index == 0:  # the peer waits for this side's next step
                 time.sleep(max(0.0, started + min(own, peer) / task.rate - time.perf_counter()))
             come = min(task.count, math.floor((time.perf_counter() - started) * task.rate) + 1)
-            rows = tapes.unit(generator.standard_normal((come - added, task.terms.dim)))
+            rows = tapes.unit(generator.standard_normal((come - added, task.asked.purpose.dim)))
             gallery.add(rows)
             added = come
             step = gallery.step()

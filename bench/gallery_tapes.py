@@ -16,7 +16,7 @@ import numpy.typing as npt
 from bench.parties import Note, pin, run_processes
 from dealer.gallery import deal_gallery
 from dealer.pki import MissionAuthority, write_credentials
-from spdz import Engine, Value, dot, nonnegative
+from protocols.catalog import GalleryPurpose
 from spdz.arithmetic.fixed_point import FRACTION_BITS
 from spdz.console.progress import Report
 from spdz.foundations.types import FloatArray, Security
@@ -29,7 +29,9 @@ from spdz.session.gallery import GallerySession
 from spdz.session.strips import Block
 
 AGENTS = ("zero", "one")
-MAX_NORM = 1.0
+_FRACTION = 2 * FRACTION_BITS
+"""Fractional bits of an inner product."""
+
 SPARE = 1
 """Slots of either side beyond what is filled: one in 2^16 is burnt."""
 
@@ -38,30 +40,25 @@ TIMEOUT = 300.0
 
 
 @dataclass(frozen=True, slots=True)
-class InnerProduct:
-    """Whether the inner product of two descriptors reaches a threshold, in a gallery."""
+class Asked:
+    """What is measured.
 
+    Attributes:
+        purpose: What the galleries are for.
+        threshold: Of the decisions.
+        security: The security model.
+        seed: Of the descriptors.
+    """
+
+    purpose: GalleryPurpose
     threshold: float
-    max_norm: float = MAX_NORM
+    security: Security
+    seed: int
 
-    async def prepare(self, engine: Engine, vectors: Value, /) -> tuple[Value, ...]:
-        """The vectors are enough."""
-        return ()
-
-    async def compare(self, engine: Engine, x: tuple[Value, ...], y: tuple[Value, ...], /) -> Value:
-        """One dot product and one comparison a pair."""
-        z = dot(x[0], y[0])
-        return await nonnegative(z.plus_raw(-_raw_threshold(self.threshold)), 2 * z.bound.entry + 1)
-
-
-def resolution_name(terms: Terms) -> str:
-    """As on the command line."""
-    return "exact" if terms.resolution is None else f"2^-{terms.resolution}"
-
-
-def terms(dim: int, threshold: float, security: Security, resolution: int | None, *, proof: bool) -> Terms:
-    """What a measured gallery is dealt for."""
-    return Terms(InnerProduct(threshold), dim, security, resolution, proof=proof)
+    @property
+    def terms(self) -> Terms:
+        """What slots and pairs are read with."""
+        return self.purpose.terms(self.threshold, self.security)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +66,7 @@ class Dealing:
     """Galleries to deal, one in each folder, all alike: for so many descriptors, and a spare slot."""
 
     folders: tuple[Path, ...]
-    terms: Terms
+    asked: Asked
     counts: tuple[int, int]
 
     @property
@@ -103,7 +100,7 @@ def _deal(index: int, dealing: Dealing, pipe: Any) -> None:
 
         started = time.perf_counter()
         paths = tape_path(folder, 0), tape_path(folder, 1)
-        deal_gallery(paths, AGENTS, dealing.terms, dealing.slots, progress=progress)
+        deal_gallery(paths, AGENTS, dealing.asked.terms, dealing.slots, progress=progress)
         rates.append(pairs / (time.perf_counter() - started))
     pipe.send(rates)
 
@@ -113,12 +110,12 @@ def tape_path(folder: Path, party: int) -> Path:
     return folder / AGENTS[party] / f"{AGENTS[1 - party]}.gallery"
 
 
-def open_side(folder: Path, party: int, terms: Terms, port: int) -> GallerySession:
+def open_side(folder: Path, party: int, asked: Asked, port: int) -> GallerySession:
     """One party of a gallery, connected over TLS on loopback: party 0 listens."""
     address = f"127.0.0.1:{port}"
     return open_gallery(
         tape_path(folder, party),
-        terms,
+        asked.terms,
         listen=address if party == 0 else None,
         connect=address if party == 1 else None,
         timeout=TIMEOUT,
@@ -141,7 +138,7 @@ class Stored:
     unproved: int
 
 
-def stored(folder: Path, terms: Terms) -> Stored:
+def stored(folder: Path, asked: Asked) -> Stored:
     """What a gallery's tapes store."""
     headers, pair = [], 0.0
     for party in (0, 1):
@@ -151,7 +148,7 @@ def stored(folder: Path, terms: Terms) -> Stored:
         headers.append(header)
         pairs = header.capacity[0] * header.capacity[1]
         pair = max(pair, (path.stat().st_size - layout.tiles) / pairs)
-    bare = measure_gallery(replace(terms, proof=False))
+    bare = measure_gallery(replace(asked.terms, proof=False))
     return Stored(
         round(pair, 2),
         max(max(header.slot_correction) for header in headers) + TAG,
@@ -159,9 +156,10 @@ def stored(folder: Path, terms: Terms) -> Stored:
     )
 
 
-def places(counts: tuple[int, int], dim: int, threshold: float, seed: int) -> tuple[FloatArray, FloatArray]:
+def places(counts: tuple[int, int], asked: Asked) -> tuple[FloatArray, FloatArray]:
     """Unit vectors of both parties; every other one of party 1 has a cosine about the threshold."""
-    generator = np.random.default_rng(seed)
+    dim, threshold = asked.purpose.dim, asked.threshold
+    generator = np.random.default_rng(asked.seed)
     x, y = (unit(generator.standard_normal((count, dim))) for count in counts)
     near = np.arange(0, counts[1], 2)
     cosine = np.clip(generator.uniform(threshold - 0.1, threshold + 0.1, len(near)), -1, 1)[:, None]
@@ -186,17 +184,13 @@ def decided(blocks: Sequence[Block], own: Sequence[int], peer: Sequence[int]) ->
     return table[np.ix_(own, peer)]
 
 
-def differing(terms: Terms, threshold: float, decisions: Any, x: FloatArray, y: FloatArray) -> int:
+def differing(asked: Asked, decisions: Any, x: FloatArray, y: FloatArray) -> int:
     """Decisions unlike those of the quantised descriptors in the clear, outside the resolution."""
-    raw_x, raw_y = (quantised(terms, rows).astype(np.float64) for rows in (x, y))
-    # Exact: |x . y| of quantised unit vectors is below 2^33.
-    margin = raw_x @ raw_y.T - _raw_threshold(threshold)
+    raw_x, raw_y = (quantised(asked.terms, rows).astype(np.float64) for rows in (x, y))
+    # Exact: |x . y| of quantised unit vectors is below 2^33. z >= threshold is z >= its ceiling.
+    margin = raw_x @ raw_y.T - math.ceil(Fraction(asked.threshold) * (1 << _FRACTION))
     wrong = np.asarray(decisions, dtype=np.bool_) != (margin >= 0)
-    if terms.resolution is not None and terms.resolution < 2 * FRACTION_BITS:
-        wrong &= np.abs(margin) > 1 << (2 * FRACTION_BITS - terms.resolution - 1)
+    resolution = asked.purpose.resolution
+    if resolution is not None and resolution < _FRACTION:
+        wrong &= np.abs(margin) > 1 << (_FRACTION - resolution - 1)
     return int(np.count_nonzero(wrong))
-
-
-def _raw_threshold(threshold: float) -> int:
-    """On the grid of products, rounded so that ``z >= threshold`` keeps its meaning."""
-    return math.ceil(Fraction(threshold) * (1 << 2 * FRACTION_BITS))
