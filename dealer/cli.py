@@ -9,10 +9,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-from dealer import report
+from dealer import gallery_cli, report
 from dealer.folders import check_agents
 from dealer.mission import deal_mission, mission_bytes
-from dealer.options import NAME, SPARE, parser
+from dealer.options import NAME, SPARE, misplaced, note, parser
 from dealer.plan import (
     Impossible,
     TilePlan,
@@ -25,6 +25,7 @@ from dealer.plan import (
 )
 from dealer.report import Wanted
 from protocols.catalog import Purpose
+from spdz.arithmetic.fixed_point import MAX_NORM
 from spdz.console.command import run_command, say_error, wants_json
 from spdz.console.progress import progress_bar
 
@@ -40,10 +41,15 @@ def _run(words: Sequence[str]) -> int:
     options = arguments.parse_args(words)
     if options.out is None and not options.plan:
         arguments.error("say where to write with --out DIR, or ask for a --plan")
+    if (wrong := misplaced(options)) is not None:
+        arguments.error(wrong)
     if options.meetings is not None and options.maps is None:
         arguments.error("--meetings says how many times --maps meet: give --maps, or a larger --count")
     try:
         check_agents(options.agents)
+        if options.slots is not None:
+            gallery_cli.run(options)
+            return 0
         if options.count is not None and options.count < 1:
             raise ValueError("deal at least one comparison")
         purpose = Purpose(
@@ -51,9 +57,9 @@ def _run(words: Sequence[str]) -> int:
             dim=options.dim,
             reveal=options.reveal,
             tile=options.tile or (1, 1),
-            max_norm=options.max_norm,
+            max_norm=MAX_NORM if options.max_norm is None else options.max_norm,
         )
-        _note(options, advice(purpose, options.security))
+        note(options, advice(purpose, options.security))
         if options.plan:
             _show(options, purpose)
         else:
@@ -69,11 +75,6 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return str(error)
-
-
-def _note(options: argparse.Namespace, text: str | None) -> None:
-    if text is not None and not options.quiet:
-        print(f"note: {text}", file=sys.stderr)
 
 
 def _wanted(options: argparse.Namespace) -> Wanted:
@@ -117,10 +118,10 @@ def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
     _, picked, why = _plans(options, purpose)
     purpose, count = replace(purpose, tile=picked.tile), picked.comparisons
     if options.maps is not None:
-        _note(options, f"jobs of {picked.tile[0]} x {picked.tile[1]} descriptors: {why}")
+        note(options, f"jobs of {picked.tile[0]} x {picked.tile[1]} descriptors: {why}")
     size = mission_bytes(options.agents, purpose, count, options.security)
     if size > 100e6:
-        _note(options, f"writing about {size / 1e9:.1f} GB in all")
+        note(options, f"writing about {size / 1e9:.1f} GB in all")
     with progress_bar("dealing", quiet=options.quiet) as progress:
         dealt = deal_mission(options.out, options.agents, purpose, count, options.security, progress=progress)
     seconds = time.perf_counter() - started

@@ -66,10 +66,14 @@ def gallery_memory(terms: Terms, header: GalleryHeader) -> tuple[int, int]:
     shelf += max(header.capacity) * _WORD * terms.dim
     if terms.security == "malicious":
         shelf += slots * ELEMENT_BYTES * terms.dim
-    pairs = header.capacity[0] * header.capacity[1]
-    pairs = min(STRIP_PAIRS, CELL_BYTES // max(1, header.pair_correction) + 1, pairs)
-    matching = int(pairs * (3 * header.pair_correction + _PAD_MEMORY * header.pair_pad))
+    matching = int(pairs_together(header) * (3 * header.pair_correction + _PAD_MEMORY * header.pair_pad))
     return dealing, _FIXED_MEMORY + shelf + matching
+
+
+def pairs_together(header: GalleryHeader) -> int:
+    """Most pairs that robots compare at a time, unless a row or a column has more."""
+    most = max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, header.pair_correction)))
+    return min(header.capacity[0] * header.capacity[1], most)
 
 
 def _prepared(terms: Terms) -> tuple[int, int]:

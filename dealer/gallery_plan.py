@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dealer.gallery import BandKeys, GalleryDealing, gallery_headers
-from dealer.gallery_limits import gallery_memory
+from dealer.gallery_limits import gallery_memory, pairs_together
 from dealer.gallery_mission import headers_for
 from dealer.gallery_trial import Couple
 from dealer.randomness import random_mac_key
@@ -69,6 +69,9 @@ class GalleryCost:
         pair_bytes: What the robot that sends more sends for a pair.
         bytes_sent: What either robot sends until all slots are filled and compared.
         rounds: Rounds of a step: to prepare descriptors, and to compare.
+        slots_lost: Whether descriptors whose preparation an interruption hits take other slots.
+        pairs_lost: Whether pairs whose comparison it hits are not compared again.
+        pairs_together: Most pairs that are compared at a time.
         dealing_memory: Bytes of memory to deal, an estimate.
         matching_memory: Bytes of memory that a robot needs with all slots filled, an estimate.
         seconds: Times of one descriptor or pair; None where they were not asked for.
@@ -84,6 +87,9 @@ class GalleryCost:
     pair_bytes: float
     bytes_sent: tuple[float, float]
     rounds: tuple[int, int]
+    slots_lost: bool
+    pairs_lost: bool
+    pairs_together: int
     dealing_memory: int
     matching_memory: int
     seconds: Seconds | None
@@ -154,6 +160,9 @@ def gallery_cost(
         pair_bytes=max(pair),
         bytes_sent=(first, second),
         rounds=(max(slot.rounds for slot in plan.slots), plan.pair.rounds),
+        slots_lost=any(slot.openings > 1 for slot in plan.slots),
+        pairs_lost=plan.pair.openings > 1,
+        pairs_together=pairs_together(headers[0]),
         dealing_memory=dealing,
         matching_memory=matching,
         seconds=measure_seconds(terms, plan, slots) if timed else None,

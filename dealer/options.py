@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
+from protocols.catalog import parse_resolution
 from protocols.scores import SCORES
-from spdz.arithmetic.fixed_point import MAX_NORM
 from spdz.console.command import CommandParser
 from spdz.version import __version__
 
@@ -32,6 +33,15 @@ examples:
     python -m spdz.dealer --agents alice bob carol --score S10 --dim 1200 \\
         --tile 16x16 --count 4096 --max-norm 1 --out mission/
 
+  a gallery, for robots that bring descriptors as they drive: each of up to 300 of either robot is sent once
+  and compared with all that the other has and will have; first what it costs, then deal:
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1536 --slots 300x300 --plan
+    python -m spdz.dealer --agents alice bob --score S10 --dim 1536 --slots 300x300 --out mission/
+
+  a gallery for Euclidean distances of unit vectors, where a zero vector must not pass as near to all:
+    python -m spdz.dealer --agents alice bob --score S6 --dim 128 --slots 1000x500 --min-norm 0.99 \\
+        --out mission/
+
 scores (docs/scores.md); similarities match at or above the threshold, distances at or below it:
   S10 dot product, S7 S8 S9 cosine (similarities); S6 squared Euclidean, S4 Euclidean, S2 L1 (distances);
   S5 S3 S1 are S6 S4 S2 of descriptors that are normalised inside.
@@ -52,6 +62,15 @@ def tile(text: str) -> tuple[int, int]:
     if not (cross and digits and len(text) < 24 and int(rows) and int(columns)):
         raise argparse.ArgumentTypeError(f"expected MxK with positive numbers, such as 16x16, not {text!r}")
     return int(rows), int(columns)
+
+
+def resolution(text: str) -> str:
+    """A power of two, or ``exact``."""
+    try:
+        parse_resolution(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text
 
 
 def score(text: str) -> str:
@@ -92,6 +111,14 @@ def parser() -> argparse.ArgumentParser:
         "of its second, all with all (--agents alice bob --maps 200x300: 200 of alice's, 300 of bob's). A "
         "larger map costs a whole row of tiles more",
     )
+    amount.add_argument(
+        "--slots",
+        type=tile,
+        metavar="RxC",
+        help="instead of --count: a gallery for R descriptors of a pair's first robot and C of its second. "
+        "They may come one by one, over as many meetings as it takes; each is sent once and compared with "
+        "all of the other robot's",
+    )
     add("--meetings", type=int, metavar="N", help="how many times such maps are matched (default 1)")
     add(
         "--spare",
@@ -125,10 +152,28 @@ def parser() -> argparse.ArgumentParser:
     add(
         "--max-norm",
         type=float,
-        default=MAX_NORM,
         metavar="R",
-        help="largest L2 norm of a descriptor (default 2^22; 1 for normalised descriptors makes tapes for "
-        "bits less than half as large)",
+        help="largest L2 norm of a descriptor (default 2^22, with --slots 1; 1 for normalised descriptors "
+        "makes tapes for bits less than half as large)",
+    )
+    add(
+        "--resolution",
+        type=resolution,
+        metavar="2^-F",
+        help="with --slots: what of a score a comparison looks at (default 2^-16; or exact, which takes more "
+        "tape). A score nearer to the threshold than half of it may be decided either way",
+    )
+    add(
+        "--min-norm",
+        type=float,
+        metavar="R",
+        help="with --slots: smallest L2 norm of a descriptor (default 0)",
+    )
+    add(
+        "--no-norm-proof",
+        action="store_true",
+        help="with --slots: do not prove that every descriptor's norm is in range, as the malicious mode "
+        "does; a peer may then probe with vectors of any length",
     )
     add("--plan", action="store_true", help="show what it will cost, tile by tile; deal and write nothing")
     add("--out", type=Path, metavar="DIR", help="folder to write the robots' folders into; made if missing")
@@ -136,3 +181,29 @@ def parser() -> argparse.ArgumentParser:
     add("--quiet", action="store_true", help="no progress bar and no notes")
     add("--version", action="version", version=f"spdz {__version__}")
     return arguments
+
+
+def misplaced(options: argparse.Namespace) -> str | None:
+    """Why options that are right one by one do not go together, or None."""
+    if options.slots is None:
+        for name, given in (
+            ("--resolution", options.resolution is not None),
+            ("--min-norm", options.min_norm is not None),
+            ("--no-norm-proof", options.no_norm_proof),
+        ):
+            if given:
+                return f"{name} is for galleries: give --slots as well, or leave it out"
+        return None
+    if options.meetings is not None:
+        return "--meetings is for maps: a gallery is there for as many as it takes, so leave it out"
+    if options.tile is not None:
+        return "--tile is for jobs: a gallery compares any descriptors, so leave it out"
+    if options.spare is not None:
+        return "--spare is for jobs: a gallery loses nothing by an interruption, so leave it out"
+    return None
+
+
+def note(options: argparse.Namespace, text: str | None) -> None:
+    """A line for people, unless they asked for quiet."""
+    if text is not None and not options.quiet:
+        print(f"note: {text}", file=sys.stderr)

@@ -183,6 +183,24 @@ def test_nothing_that_belongs_to_one_slot_is_dealt_for_pairs(name):
             assert max(plan.pair.correction_bytes) < 6000
 
 
+@pytest.mark.parametrize(
+    ("name", "stored", "openings"),
+    [
+        ("S10", 320, 1),
+        ("S6", 352, 1),
+        ("S7", 336, 1),
+        ("S5", 368, 1),
+        ("S8", 512, 3),
+        ("S9", 512, 3),
+        ("S4", 3536, 4),
+        ("S3", 4816, 4),
+    ],
+)
+def test_a_pair_costs_what_the_page_of_scores_says(name, stored, openings):
+    plan = measure_gallery(Terms(is_candidate(SCORES[name].within(1.0), 0.5), 1536))
+    assert max(plan.pair.correction_bytes) == stored and plan.pair.openings == openings
+
+
 async def _second(engine, vectors):
     return await mask(dot(vectors, vectors), fresh=True)
 

@@ -104,8 +104,9 @@ class GalleryHeader(Header):
     @property
     def dealer_command(self) -> str:
         """The command that deals another of the same."""
-        command = self.dealing("score", "dim", "reveal", "max_norm")
-        return f"{command} --slots {'x'.join(map(str, self.slots))} --out FOLDER"
+        command = self.dealing("score", "dim", "reveal", "max_norm", "resolution", "min_norm")
+        proof = " --no-norm-proof" if self.program.get("norm_proof") is False else ""
+        return f"{command}{proof} --slots {'x'.join(map(str, self.slots))} --out FOLDER"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from spdz.foundations.stats import Stats
@@ -39,7 +39,7 @@ class Comparing:
         plan: What the meter saw of the terms.
         ledger: What was compared.
         shelves: The slots of party 0 and of party 1.
-        again: A strip to run first, which was broken off.
+        again: Strips to run first, which were broken off.
     """
 
     tape: GalleryTape
@@ -47,7 +47,7 @@ class Comparing:
     plan: GalleryPlan
     ledger: Ledger
     shelves: tuple[Shelf, Shelf]
-    again: Strip | None = None
+    again: list[Strip] = field(default_factory=list)
 
     def new(self, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]) -> None:
         """Compare all pairs of filled slots that are not done.
@@ -58,9 +58,8 @@ class Comparing:
             step: Takes the results.
             on_block: Called with every block as soon as it is checked and durable.
         """
-        if self.again is not None:
-            strip, self.again = self.again, None
-            self._run_strip(strip, party, run, step, on_block)
+        while self.again:
+            self._run_strip(self.again.pop(0), party, run, step, on_block)
         first, second = self.ledger.slots
         for strip in between(self.ledger.done, (first.filled, second.filled)):
             for piece in pieces(strip, self._most_pairs):
@@ -68,7 +67,7 @@ class Comparing:
 
     @property
     def _most_pairs(self) -> int:
-        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, self.tape.header.pair_correction)))
+        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, *self.plan.pair.correction_bytes)))
 
     def _run_strip(
         self, strip: Strip, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]

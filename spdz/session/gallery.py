@@ -247,12 +247,14 @@ class GallerySession(Lifecycle):
         agreed = meet(own, peer, self.party, self._plan)
         mine = ledger.slots[self.party]
         mine.fill([(mine.filled + i, None) for i in range(agreed.lost)])
+        self._ready = list(agreed.ready)
+        self._filling.take_back([slot for slot in agreed.void[self.party] if slot >= self._ready[self.party]])
         for slots, void in zip(ledger.slots, agreed.void, strict=True):
             slots.void(void)
-        if agreed.burn is not None and not within(agreed.burn, ledger.done):
-            ledger.burn(agreed.burn)
+        for strip in agreed.burn:
+            if not within(strip, ledger.done):
+                ledger.burn(strip)
         self._filling.sent, self._comparing.again = agreed.send, agreed.again
-        self._ready = [min(pair) for pair in zip(own.ready, peer.ready, strict=True)]
 
     def _restore(self) -> None:
         """Read what earlier sessions have filled."""
@@ -261,7 +263,8 @@ class GallerySession(Lifecycle):
             for start in range(0, slots.filled, _PREPARED):
                 entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
-                known = [slot for slot, words in entries if words is not None and slot < slots.ready]
+                ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
+                known = [slot for slot, words in entries if words is not None and slot < ready]
                 shelf.restore(known, [slots.noted(slot) or b"" for slot in known], self._alpha)
 
     @property

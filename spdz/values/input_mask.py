@@ -48,7 +48,7 @@ def word_bits(shape: Shape, norm: int, rejection: int = JOB_REJECTION) -> int:
 
 
 def provable_bits(n: int) -> int:
-    """Bits of the longest words of which ``2 n 2^(2 w) < p``: the square of a vector of n words cannot wrap.
+    """Bits of the longest words with ``n 2^(2 w) <= 2^126``: the square of a vector of n words cannot wrap.
 
     Then the sum of squares mod p is the square of the norm of the integers, whatever words were sent, and a
     test of it proves the norm (:mod:`spdz.gates.interval`). The word's length is the range proof.
