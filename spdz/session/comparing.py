@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeAlias
 
 from spdz.foundations.stats import Stats
@@ -15,6 +16,7 @@ from spdz.readings.gallery_plan import GalleryPlan
 from spdz.readings.party import Party
 from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import Protocol
+from spdz.session.meanwhile import Meanwhile
 from spdz.session.pairs import read_pairs
 from spdz.session.shelf import Shelf
 from spdz.session.strips import Block, Cell, Step, cells, encode_results, oriented, pieces, within
@@ -26,7 +28,8 @@ CELL_BYTES = 64 << 20
 """Most stored bytes of the pairs that are compared at a time."""
 
 MakeParty: TypeAlias = Callable[[RecordStream, Stats], Party]
-Run: TypeAlias = Callable[[Protocol[Any], Stats], Any]
+Run: TypeAlias = Callable[[Protocol[Any], Stats, Callable[[], None]], Any]
+"""``run(protocol, stats, ready)``: ``ready()`` returns when the first frame may be sent."""
 
 
 @dataclass(slots=True)
@@ -72,17 +75,15 @@ class Comparing:
     def _run_strip(
         self, strip: Strip, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]
     ) -> None:
-        """Compare a strip, keep its results, then show them."""
+        """Compare a strip, keep its results, then show them; it has begun before anything is sent."""
         kept = within(strip, self.ledger.done)  # the peer has missed it
-        if not kept:
-            self.ledger.pin_text(self.plan.text.encode())
-            self.ledger.begin(strip)
         stats, (first, second) = step.comparing.stats, (set(slots.voids) for slots in self.ledger.slots)
         parts: list[Cell] = []
-        for rows, columns in cells(strip, (first, second), self._most_pairs):
-            reader = party(read_pairs(self.tape, rows, columns), stats)
-            sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
-            parts.append((rows, columns, run(compare(reader, self.terms, *sides), stats)))
+        with Meanwhile(partial(self._begin, strip, kept)) as begun:
+            for rows, columns in cells(strip, (first, second), self._most_pairs):
+                reader = party(read_pairs(self.tape, rows, columns), stats)
+                sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
+                parts.append((rows, columns, run(compare(reader, self.terms, *sides), stats, begun.wait)))
         if kept:
             return
         self.ledger.commit(strip, encode_results(strip, parts, bits=self.plan.bits))
@@ -90,3 +91,8 @@ class Comparing:
             block = oriented(self.tape.header.party, part)
             step.blocks.append(block)
             on_block(block)
+
+    def _begin(self, strip: Strip, kept: bool) -> None:
+        if not kept:
+            self.ledger.pin_text(self.plan.text.encode())
+            self.ledger.begin(strip)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from spdz.channels import Channel, FrameKind
@@ -10,13 +10,19 @@ from spdz.foundations.stats import Stats
 from spdz.rounds.coroutine import Exchange
 
 
-def run_channel(frames: Generator[Exchange, memoryview, Any], channel: Channel, stats: Stats) -> Any:
+def run_channel(
+    frames: Generator[Exchange, memoryview, Any],
+    channel: Channel,
+    stats: Stats,
+    ready: Callable[[], None] = lambda: None,
+) -> Any:
     """Carry every frame over the channel until the protocol returns; returns its result.
 
     Args:
         frames: A protocol under :func:`spdz.rounds.mac_check.drive`.
         channel: A connected channel.
         stats: Counts rounds, bytes and elements.
+        ready: Called before a frame is sent, and may wait.
 
     Raises:
         SpdzError: whatever the protocol or the channel raises.
@@ -25,6 +31,7 @@ def run_channel(frames: Generator[Exchange, memoryview, Any], channel: Channel, 
     try:
         request = next(frames)
         while True:
+            ready()
             stats.rounds += 1
             stats.field_elements_sent += request.elements
             kind = FrameKind.CHECK if request.is_check else FrameKind.DATA

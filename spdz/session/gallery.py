@@ -223,8 +223,8 @@ class GallerySession(Lifecycle):
         check, security = self._agreement.mac_check, self._terms.security
         return configured(Party(self.party, security, stream, check, self._alpha, stats), self._terms)
 
-    def _run(self, protocol: Any, stats: Stats) -> Any:
-        return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+    def _run(self, protocol: Any, stats: Stats, ready: Callable[[], None] = lambda: None) -> Any:
+        return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats, ready)
 
     # -- meeting again -------------------------------------------------------------------------------
 
