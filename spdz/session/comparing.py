@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from spdz.foundations.errors import Wrapped
 from spdz.foundations.stats import Stats
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Strip, between
@@ -17,10 +18,17 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import Protocol
 from spdz.session.pairs import read_pairs
 from spdz.session.shelf import Shelf
-from spdz.session.strips import Block, Cell, Step, cells, encode_results, oriented, pieces, within
-
-STRIP_PAIRS = 1 << 16
-"""Most pairs of a strip, unless it is one row or column."""
+from spdz.session.strips import (
+    STRIP_PAIRS,
+    Block,
+    Cell,
+    Step,
+    cells,
+    encode_results,
+    oriented,
+    pieces,
+    within,
+)
 
 CELL_BYTES = 64 << 20
 """Most stored bytes of the pairs that are compared at a time."""
@@ -79,10 +87,15 @@ class Comparing:
             self.ledger.begin(strip)
         stats, (first, second) = step.comparing.stats, (set(slots.voids) for slots in self.ledger.slots)
         parts: list[Cell] = []
-        for rows, columns in cells(strip, (first, second), self._most_pairs):
-            reader = party(read_pairs(self.tape, rows, columns), stats)
-            sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
-            parts.append((rows, columns, run(compare(reader, self.terms, *sides), stats)))
+        try:
+            for rows, columns in cells(strip, (first, second), self._most_pairs):
+                reader = party(read_pairs(self.tape, rows, columns), stats)
+                sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
+                parts.append((rows, columns, run(compare(reader, self.terms, *sides), stats)))
+        except Wrapped:  # it would be so again
+            if not kept:
+                self.ledger.burn(strip)
+            raise
         if kept:
             return
         self.ledger.commit(strip, encode_results(strip, parts, bits=self.plan.bits))

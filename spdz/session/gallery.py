@@ -196,6 +196,7 @@ class GallerySession(Lifecycle):
     def _prepare(self, stats: Stats) -> None:
         """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
+            self._ledger.pin_text(self._plan.text.encode())  # what is opened may depend on it
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
             lanes = [shelf.prepare(party, slots) for (shelf, slots), party in zip(work, parties, strict=True)]
