@@ -1,6 +1,6 @@
 """``python -m bench``: what a comparison costs, beside the textbook protocol and no security at all.
 
-Two more commands measure something else: ``accuracy`` and ``oracle``, each in a file of its own.
+More commands measure something else: ``gallery``, ``accuracy`` and ``oracle``, each in a file of its own.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import bench.accuracy
+import bench.gallery
 import bench.oracle
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
@@ -36,6 +37,7 @@ up, and reading the tape ahead (which expands the pads).
 many times ours that is. It was recorded on another machine: bytes compare exactly, times roughly.
 
 further commands, each with a --help of its own:
+  python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench accuracy    how far secure scores are from the true ones
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
 
@@ -46,6 +48,7 @@ examples:
 
 COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "accuracy": bench.accuracy.main,
+    "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
 }
 """The commands beside the one without a name."""

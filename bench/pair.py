@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import socket
 import tempfile
 import time
 from collections.abc import Callable
@@ -14,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from bench.parties import free_port, pin, run_processes
 from dealer.tapes import deal_tapes
 from spdz.channels import Channel
 from spdz.channels.tcp import connect, listen
-from spdz.console.command import tune_process
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import Security
 from spdz.readings.clear import Clear
@@ -52,14 +49,6 @@ class Measured:
     stats: Stats
 
 
-def free_port() -> int:
-    """A loopback port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def measure_secure(
     program: Program, inputs: tuple[Any, Any], security: Security, trials: int
 ) -> tuple[Measured, Measured, int]:
@@ -73,43 +62,14 @@ def measure_secure(
         with Tape.open(paths[1], state_dir=Path(folder, "state")) as tape:
             stored = max(stored, tape.header.correction_bytes)
         task = Task(program, inputs, trials, free_port(), paths, Path(folder, "state"))
-        first, second = _run_both(_secure_party, task)
+        first, second = run_processes(_secure_party, task)
         return first, second, stored
 
 
 def measure_clear(program: Program, inputs: tuple[Any, Any], trials: int) -> tuple[Measured, Measured]:
     """The insecure exchange: both parties send their descriptor as it is."""
-    return _run_both(_clear_party, Task(program, inputs, trials, free_port(), None, Path()))
-
-
-def _run_both(work: Callable[[int, Task, Any], None], task: Task) -> tuple[Measured, Measured]:
-    context = multiprocessing.get_context("spawn")
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one BLAS thread a party; read when a child loads NumPy
-    pipes = [context.Pipe(duplex=False) for _ in (0, 1)]
-    children = [
-        context.Process(target=work, args=(index, task, pipes[index][1]), daemon=True) for index in (0, 1)
-    ]
-    for child in children:
-        child.start()
-    try:
-        figures = []
-        for (reader, writer), child in zip(pipes, children, strict=True):
-            writer.close()
-            figures.append(reader.recv())
-            child.join(timeout=30)
-        return figures[0], figures[1]
-    except EOFError:
-        raise RuntimeError("a measured party died; its error is printed above") from None
-    finally:
-        for child in children:
-            child.terminate()
-
-
-def _set_up(index: int) -> None:
-    tune_process()
-    if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[index % len(cores)]})
+    first, second = run_processes(_clear_party, Task(program, inputs, trials, free_port(), None, Path()))
+    return first, second
 
 
 def _channel(index: int, task: Task) -> Channel:
@@ -129,7 +89,7 @@ def _timed(trials: int, once: Callable[[], tuple[Any, Stats]]) -> Measured:
 
 def _secure_party(index: int, task: Task, pipe: Any) -> None:
     """Timed: quantise, mask, exchange, compute, open, check, decode. Not: reading the tape and its pads."""
-    _set_up(index)
+    pin(index)
     if task.tapes is None:
         raise ValueError("a secure party needs a tape")
     tape = Tape.open(task.tapes[index], state_dir=task.state)
@@ -145,7 +105,7 @@ def _secure_party(index: int, task: Task, pipe: Any) -> None:
 
 def _clear_party(index: int, task: Task, pipe: Any) -> None:
     """Timed: quantise, send, receive, compute on plain integers."""
-    _set_up(index)
+    pin(index)
     shapes = (np.shape(task.inputs[0]), np.shape(task.inputs[1]))
     with _channel(index, task) as channel:
 

@@ -12,7 +12,7 @@ from spdz.readings.gallery_plan import GalleryPlan
 from spdz.readings.meter import Meter
 from spdz.rounds.coroutine import run_silently
 from spdz.rounds.wire import ELEMENT_BYTES
-from spdz.session.gallery import CELL_BYTES, STRIP_PAIRS
+from spdz.session.comparing import CELL_BYTES, STRIP_PAIRS
 from spdz.values.engine import Input
 
 _FIXED_MEMORY = 32 << 20  # chunks in which keys are made, and buffers

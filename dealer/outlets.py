@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import secrets
+from math import prod
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spdz import dcf
-from spdz.arithmetic.prf import Batches
+from spdz.arithmetic.prf import Batches, one_batch
 from spdz.dcf.keys import BINARY, hash_index, to_records
 from spdz.foundations.types import Block, Buffer, FieldArray, Shape
 from spdz.readings.streams import RecordStream
@@ -44,7 +45,7 @@ class JobOutlet:
         key = secrets.token_bytes(_HASH_KEY)
         for corrections in self._corrections:
             corrections.append(key)
-        return [(slice(0, int(np.prod(shape))), key)], None
+        return one_batch(prod(shape), key), None
 
     def keys(
         self, roots: tuple[Block, Block], shape: Shape, thresholds: Block, payload: FieldArray, bits: int

@@ -2,8 +2,9 @@
 
 from protocols.batch import Block, Matches
 from protocols.candidate import is_candidate
+from protocols.gallery import Gallery
 from protocols.matcher import Matcher
 from protocols.matching import match
 from protocols.scores import SCORES, Score
 
-__all__ = ["SCORES", "Block", "Matcher", "Matches", "Score", "is_candidate", "match"]
+__all__ = ["SCORES", "Block", "Gallery", "Matcher", "Matches", "Score", "is_candidate", "match"]

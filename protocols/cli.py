@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Mapping
 from contextlib import closing
@@ -15,10 +14,12 @@ import numpy as np
 from protocols.batch import Matches
 from protocols.catalog import Purpose, threshold_warning
 from protocols.descriptors import load_descriptors
+from protocols.gallery_cli import run_gallery, say
 from protocols.matcher import Matcher
 from spdz.console.command import say_error
 from spdz.console.progress import progress_bar
 from spdz.foundations.errors import SpdzError, TapeDestroyed, TapeExhausted, TapeInUse
+from spdz.tape.envelope import is_gallery
 
 _EPILOG = """\
 example, in two terminals (either may start first):
@@ -26,6 +27,9 @@ example, in two terminals (either may start first):
       --descriptors a.npy --threshold 0.8
   python -m spdz match --tape mission/bob/alice.tape --connect 127.0.0.1:9000 \\
       --descriptors b.npy --threshold 0.8
+
+On a gallery's tape (dealt with --slots) give the map with what is new at its end, again and again: only pairs
+that are new are compared, and a number is that of a slot of the gallery.
 
 Both robots learn which pairs of descriptors match (and how many descriptors the other has), nothing else.
 If the line breaks, both look for each other for --wait seconds and go on where they were. If that fails, or
@@ -66,12 +70,20 @@ def add_match(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="no TLS: anybody on the network can pose as a robot; for closed test networks only",
     )
     add("--json", action="store_true", help="one JSON object on standard output")
+    add(
+        "--append",
+        action="store_true",
+        help="gallery: these descriptors are new, instead of the whole map with what is new at its end",
+    )
+    add("--all", action="store_true", help="gallery: print the matches of earlier runs as well")
     add("--quiet", action="store_true", help="no progress bar")
     arguments.set_defaults(run=run_match)
 
 
 def run_match(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
+    if is_gallery(options.tape):
+        return run_gallery(options)
     matcher = None
     try:
         descriptors = load_descriptors(options.descriptors)
@@ -86,19 +98,19 @@ def run_match(options: argparse.Namespace) -> int:
                 wait=options.wait,
                 timeout=options.timeout,
                 state_dir=options.state_dir,
-                on_event=lambda sentence: _say(sentence, options.quiet),
+                on_event=lambda sentence: say(sentence, options.quiet),
                 progress=progress,
             )
             if matcher.rolled_back:
-                _say("note: this tape is an older copy of itself; its used part is skipped")
+                say("note: this tape is an older copy of itself; its used part is skipped")
             matcher.check(descriptors)
             if len(descriptors) and not matcher.remaining:
                 raise TapeExhausted(
                     f"every job of {options.tape} has been used; deal more: {matcher.header.dealer_command}"
                 )
             if warning := threshold_warning(Purpose.from_json(matcher.header.program), options.threshold):
-                _say(f"warning: {warning}")
-            _say(f"{matcher.rule}: looking for {matcher.header.peer} for {options.wait:g} s", options.quiet)
+                say(f"warning: {warning}")
+            say(f"{matcher.rule}: looking for {matcher.header.peer} for {options.wait:g} s", options.quiet)
             with closing(matcher):
                 matcher.connect()
                 started = time.perf_counter()
@@ -133,11 +145,6 @@ def _print_failure(options: argparse.Namespace, matcher: Matcher | None, error: 
 def _span(positions: range) -> str:
     last = positions.stop - 1
     return f"{positions.start}" if positions.start == last else f"{positions.start} to {last}"
-
-
-def _say(sentence: str, quiet: bool = False) -> None:
-    if not quiet:
-        print(sentence, file=sys.stderr, flush=True)
 
 
 def _print(

@@ -69,7 +69,7 @@ class Gauge(Meter):
         return super().input_mask(source)
 
     async def opening_bits(self, bits: int) -> None:
-        """Bits travel packed."""
+        """Bits travel eight to a byte, the same number from either party."""
         self.bit_bytes += -(-bits // 8)
         await super().opening_bits(bits)
 

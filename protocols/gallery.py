@@ -3,7 +3,8 @@
 Both robots make a :class:`Gallery` and call :meth:`Gallery.step` equally often, each time with what is new,
 or with nothing. Steps are numbered. When a connection breaks in the middle of a step one robot may be through
 with it and the other not; then the one that is through serves it once more, before its next step or when it
-ends. What was compared is never compared again, and a robot that was restarted goes on with the peer's number.
+ends. What was compared is never compared again, and a robot that was restarted goes on with the peer's
+number.
 """
 
 from __future__ import annotations
@@ -127,6 +128,15 @@ class Gallery(Reconnecting[GallerySession]):
     def rule(self) -> str:
         """What is decided, for people: ``S10 >= 0.8, to 2^-16``."""
         return "a program of your own" if self._purpose is None else self._purpose.rule(self._threshold)
+
+    @property
+    def partial(self) -> Step | None:
+        """A step that is under way or was broken off, as far as it was decided, checked and durable."""
+        return self._step
+
+    def check(self, descriptors: npt.ArrayLike) -> None:
+        """Raise :class:`ValueError` if these descriptors do not suit the gallery."""
+        quantised(self._terms, descriptors)
 
     def connect(self) -> None:
         """Reach the peer now, within ``wait`` seconds, instead of with the first step."""

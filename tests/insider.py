@@ -18,9 +18,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+from insider_frames import Layout, reduced
+
 from dealer.randomness import MacKey, random_mac_key
 from dealer.recipe import deal_job, deal_stock
-from spdz.arithmetic.field import P
+from spdz import run_clear
 from spdz.foundations.errors import MacCheckFailed, ProtocolViolation, SpdzError
 from spdz.foundations.stats import Stats
 from spdz.readings.meter import measure, measure_stock
@@ -36,15 +39,6 @@ from spdz.values import input_mask
 SESSION = b"a session"
 
 
-def elements(frame, size=16):
-    """The numbers of a frame: field elements, or the shorter words of inputs under short masks."""
-    return [int.from_bytes(frame[start : start + size], "little") for start in range(0, len(frame), size)]
-
-
-def frame_of(numbers, size=16):
-    return b"".join(number.to_bytes(size, "little") for number in numbers)
-
-
 class Ledger(MacCheck):
     """The insider's MAC check: it believes whatever it gets, and tells what its hash would be otherwise."""
 
@@ -57,10 +51,12 @@ class Ledger(MacCheck):
         self.history.append((self.message(), theirs))
         self._checks += 1
         self._opened.clear()
+        self._same = None
 
     def as_if(self, **other):
         """Its hash, had it another ``party``, ``opened``, ``transcript``, ``checks`` or ``prefix``."""
         changed = copy(self)
+        changed._same = None
         for name, value in other.items():
             setattr(changed, f"_{name}", value)
         return changed.message()
@@ -82,16 +78,18 @@ class Insider:
     Args:
         protocol: What it pretends to run.
         ledger: The MAC check in which that protocol records.
-        lie: ``lie(number, own, theirs)``: the elements to send in DATA exchange ``number`` (0: the inputs,
-            elements or words) instead of ``own``, knowing ``theirs``. Inputs of both parties are of one kind.
+        lie: ``lie(number, own, theirs)``: the numbers to send in DATA exchange ``number`` (0: the inputs)
+            instead of ``own``, knowing ``theirs``: elements, words (of inputs, of one kind for both parties),
+            and bits.
         forge: ``forge(ledger, theirs)``: what to send in a check, knowing the honest hash.
         follow: Whether its state follows what it lied in an opening. (It never follows a lie about its input:
             for that, its program must add the same to its input.)
+        bits: Entries of an array of bits, where the program opens any.
     """
 
-    def __init__(self, protocol, ledger, lie=truth, forge=own_hash, follow=True):
+    def __init__(self, protocol, ledger, lie=truth, forge=own_hash, follow=True, bits=1):
         self._protocol, self._ledger = protocol, ledger
-        self._lie, self._forge, self._follow = lie, forge, follow
+        self._lie, self._forge, self._follow, self._bits = lie, forge, follow, bits
         self._number = 0
         self.lied = False
         self._advance(None)
@@ -104,15 +102,14 @@ class Insider:
             self._ledger.believe(bytes(theirs))
             self._advance(None)
             return frame
-        payload = b"".join(self.request.payload)
-        size = len(payload) // self.request.elements
-        own, honest = elements(payload, size), elements(theirs, size)
+        layout = Layout.of(self.request, self._bits, inputs=self._number == 0)
+        own, honest = layout.numbers(b"".join(self.request.payload)), layout.numbers(theirs)
         said = self._lie(self._number, own, honest)
         self.lied |= said != own
-        frame = frame_of(said, size)
+        frame = layout.frame(said)
         self._ledger.absorb([frame], theirs)
         if self._follow and self._number and len(said) == len(own):
-            theirs = frame_of((t + s - o) % P for o, t, s in zip(own, honest, said, strict=True))
+            theirs = layout.frame([reduced(t + s - o, o) for o, t, s in zip(own, honest, said, strict=True)])
         self._number += 1
         self._advance(memoryview(theirs))
         return frame
@@ -142,13 +139,15 @@ class Duel:
     Attributes:
         results: Its output, if it came to one: a list of one item.
         error: What it raised instead.
-        sent: For each of its frames, the number of elements, or None for a check.
+        sent: For each of its frames, how many numbers, or None for a check.
+        bits: DATA exchanges in which nothing but bits is opened.
         lied: Whether the insider deviated at all.
     """
 
     results: list[Any] = field(default_factory=list)
     error: SpdzError | None = None
     sent: list[int | None] = field(default_factory=list)
+    bits: set[int] = field(default_factory=set)
     lied: bool = False
 
     @property
@@ -166,9 +165,23 @@ class Duel:
 
     @property
     def openings(self):
-        """Elements of each DATA exchange after the inputs, by its number."""
-        sizes = [size for size in self.sent if size is not None]
-        return dict(enumerate(sizes[1:], 1))
+        """Numbers of each DATA exchange after the inputs, by its number."""
+        return dict(enumerate(self._exchanges[1:], 1))
+
+    def see(self, request, bits):
+        """Count a frame that the honest party is about to send."""
+        if request.is_check:
+            self.sent.append(None)
+            return
+        number = len(self._exchanges)
+        layout = Layout.of(request, bits, inputs=number == 0)
+        self.sent.append(layout.count)
+        if layout.all_bits:
+            self.bits.add(number)
+
+    @property
+    def _exchanges(self):
+        return [size for size in self.sent if size is not None]
 
     def position(self, number):
         """Which of its frames DATA exchange ``number`` was."""
@@ -193,6 +206,7 @@ class Dealt:
         self.program, self._stock = program, stock
         self.data = [tuple(quantise(program, one, "input") for one in pair) for pair in pairs]
         self._shapes = tuple(one.shape for one in self.data[0])
+        self._bits = np.size(run_clear(program, *pairs[0]).value)
         self.mac_key = random_mac_key() if shares is None else MacKey(shares)
         self._keys = [(secrets.token_bytes(32), secrets.token_bytes(32)) for _ in pairs]
         if stock is None:
@@ -240,13 +254,13 @@ class Dealt:
         """Run the honest party, which is 1 - ``evil``, against an insider that really runs ``program``."""
         mac_check, ledger = self.mac_check(1 - evil), self.mac_check(evil, Ledger)
         honest = drive(self.protocol(1 - evil, mac_check), mac_check)
-        insider = Insider(self.protocol(evil, ledger, program), ledger, lie, forge, follow)
+        insider = Insider(self.protocol(evil, ledger, program), ledger, lie, forge, follow, self._bits)
         duel = Duel()
         try:
             request = next(honest)
             while True:
                 frame = b"".join(request.payload)
-                duel.sent.append(None if request.is_check else request.elements)
+                duel.see(request, self._bits)
                 answer = insider.answer(frame)
                 if len(answer) != request.expect:
                     raise ProtocolViolation("a frame of another length, which no channel lets through")

@@ -138,6 +138,16 @@ async def side_by_side(engine, x, y):
     return await nonnegative(r + p - q)
 
 
+async def bits_of_inputs(engine, x, y):
+    """Nothing is opened before; two bytes of bits."""
+    return await nonnegative(x.reshape(3, 1) - y.reshape(1, 3))
+
+
+async def counted(engine, x, y):
+    """Bits that are not opened themselves."""
+    return (await nonnegative(multiply(x, y))).sum()
+
+
 GATES_AND_FUNCTIONS = {
     "absolute": of_absolute,
     "beaver_dot": of_beaver_dot,
@@ -159,12 +169,12 @@ GATES_AND_FUNCTIONS = {
     "sqrt": of_sqrt,
     "truncate": of_truncate,
 }
-for program in (*GATES_AND_FUNCTIONS.values(), side_by_side):
+for program in (*GATES_AND_FUNCTIONS.values(), side_by_side, bits_of_inputs, counted):
     program.max_norm = NORM
 
 PROGRAMS = (
     GATES_AND_FUNCTIONS
-    | {"side by side": side_by_side}
+    | {"side by side": side_by_side, "bits of inputs": bits_of_inputs, "counted": counted}
     | {name: score.within(NORM) for name, score in SCORES.items()}
     | {
         f"{name} candidate": is_candidate(score.within(NORM), -0.9 if score.similarity else 0.9)

@@ -1,7 +1,10 @@
 """What an insider may say instead of its share. An opened value is ``own + theirs``, and it has seen theirs.
 
-A lie is ``lie(number, own, theirs)``, a list of elements to send in DATA exchange ``number``.
+A lie is ``lie(number, own, theirs)``, a list of numbers to send in DATA exchange ``number``. Ways to lie are
+told for elements; in a bit they are what is left of them modulo 2.
 """
+
+from insider_frames import reduced
 
 from spdz.arithmetic.field import P
 
@@ -48,7 +51,7 @@ def element(number, i, say, e=1):
     def lie(at, own, theirs):
         if at != number:
             return own
-        return [*own[:i], say(own[i], theirs[i], e) % P, *own[i + 1 :]]
+        return [*own[:i], reduced(say(own[i], theirs[i], e), own[i]), *own[i + 1 :]]
 
     return lie
 
@@ -60,7 +63,7 @@ def pair(number, i, j, say, e=1):
         said = list(own)
         if at == number:
             both = say((own[i], own[j]), (theirs[i], theirs[j]), e)
-            said[i], said[j] = (one % P for one in both)
+            said[i], said[j] = (reduced(one, own[k]) for one, k in zip(both, (i, j), strict=True))
         return said
 
     return lie
@@ -68,7 +71,13 @@ def pair(number, i, j, say, e=1):
 
 def frame(number, say, e=1):
     """Lie in a whole exchange."""
-    return lambda at, own, theirs: [one % P for one in say(own, theirs, e)] if at == number else own
+
+    def lie(at, own, theirs):
+        if at != number:
+            return own
+        return [reduced(one, like) for one, like in zip(say(own, theirs, e), own, strict=True)]
+
+    return lie
 
 
 def cancelling(first, i, second, j, e=1):

@@ -142,6 +142,8 @@ class _Drawing:
             if len(self.program.lines) >= statements:
                 break
             self.statement()
+        if self.chance(0.2):  # a comparison that is opened is dealt in another way than one that is used
+            self.statement("compare")
         last = self.variables[-1] if self.chance(0.8) else pick(self.variables)
         self.program.result = last.name
 
@@ -222,11 +224,11 @@ class _Drawing:
         name = self.fresh_name()
         self.add(f"{name} = {line}", name, masked=masked, bits=bits)
 
-    def statement(self):
+    def statement(self, kind=None):
         kinds = [kind for kind, weight in KINDS.items() for _ in range(weight)]
         state = len(self.variables), len(self.program.lines)
         try:
-            getattr(self, self.random.choice(kinds))()
+            getattr(self, kind or self.random.choice(kinds))()
         except LookupError:
             del self.variables[state[0] :], self.program.lines[state[1] :]
             self.program.exact = {v.name: v.number for v in self.variables}

@@ -38,6 +38,11 @@ def flip(bit):
     return tamper
 
 
+def bits_changed(*bits):
+    """Some bits of the first byte flipped."""
+    return lambda frame: bytes([frame[0] ^ sum(1 << bit for bit in bits)]) + frame[1:]
+
+
 def add_one(frame: bytes) -> bytes:
     """The smallest change that stays a well-formed field element, if the frame holds one."""
     value = (int.from_bytes(frame[:16], "little") + 1) % ((1 << 127) - 1)
@@ -56,9 +61,18 @@ TAMPERS = {
     "empty": (lambda frame: b"", ProtocolViolation),
     "zeros": (lambda frame: bytes(len(frame)), MacCheckFailed),
 }
-CHECK_TAMPERS = {name: MacCheckFailed for name in TAMPERS} | {
-    name: ProtocolViolation for name in ("one byte short", "one byte long", "empty")
+LENGTHS = {name: TAMPERS[name] for name in ("one byte short", "one byte long", "empty")}
+BIT_TAMPERS = LENGTHS | {
+    "the bit": (bits_changed(0), MacCheckFailed),
+    "a bit beyond the last": (bits_changed(1), ProtocolViolation),
+    "the last bit of the byte": (bits_changed(7), ProtocolViolation),
+    "the bit and another": (bits_changed(0, 4), ProtocolViolation),
+    "another bit": (lambda frame: bytes([1 - frame[0]]), MacCheckFailed),
+    "every bit": (lambda frame: bytes([255 - frame[0]]), ProtocolViolation),
 }
+"""Of a round that opens one bit."""
+
+CHECK_TAMPERS = {name: MacCheckFailed for name in TAMPERS} | {name: ProtocolViolation for name in LENGTHS}
 
 
 def run_with(program, sender, number, tamper):
@@ -86,7 +100,8 @@ def test_a_changed_frame_is_caught_in_every_round(name, sender):
     # The last round is a check; so is the one before the output's if anything was opened before.
     checks = {rounds - 1} if program in (S6, S10) else {rounds - 3, rounds - 1}
     for number in range(rounds):
-        for what, (tamper, error) in TAMPERS.items():
+        tampers = BIT_TAMPERS if "candidate" in name and number == rounds - 2 else TAMPERS
+        for what, (tamper, error) in tampers.items():
             with pytest.raises(CHECK_TAMPERS[what] if number in checks else error):
                 run_with(program, sender, number, tamper)
                 pytest.fail(f"{name}, party {sender}, round {number}, {what}: nothing was raised")
@@ -97,10 +112,12 @@ def test_a_changed_frame_is_caught_in_every_round(name, sender):
 def test_a_changed_frame_of_a_long_protocol_is_caught_in_every_round(name, sender):
     """Whatever is opened on the way: every round, one bit and one element."""
     program = LONG[name]
-    for number in range(measure(program, (X.shape, Y.shape), "malicious").rounds):
-        for what in ("a bit in the middle", "plus one"):
+    rounds = measure(program, (X.shape, Y.shape), "malicious").rounds
+    for number in range(rounds):
+        one_bit = "candidate" in name and number == rounds - 2
+        for what in ("the bit", "another bit") if one_bit else ("a bit in the middle", "plus one"):
             with pytest.raises(MacCheckFailed):
-                run_with(program, sender, number, TAMPERS[what][0])
+                run_with(program, sender, number, (TAMPERS | BIT_TAMPERS)[what][0])
                 pytest.fail(f"{name}, party {sender}, round {number}, {what}: nothing was raised")
 
 

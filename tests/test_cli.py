@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from bench.pair import free_port
+from bench.parties import free_port
 from dealer.tapes import deal_tapes
 from protocols.scores import S10
 

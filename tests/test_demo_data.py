@@ -142,7 +142,7 @@ def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str])
         private_quality=places.Quality(0.9, 0.7, 21, 2),
         clear_quality=places.Quality(0.8, 0.6, 20, 3),
         disagreements=3,
-        dealt_comparisons=120,
+        dealt_slots=(10, 12),
         dealing_seconds=0.5,
         folder_bytes=(1000, 1000),
         bytes_sent=(2000, 2000),

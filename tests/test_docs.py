@@ -20,7 +20,7 @@ import bench.recorded_accuracy
 import dealer.cli
 import spdz
 import spdz.__main__
-from bench.pair import free_port
+from bench.parties import free_port
 from spdz.foundations import errors
 
 ROOT = Path(__file__).resolve().parent.parent

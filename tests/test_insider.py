@@ -1,4 +1,4 @@
-"""Every program, lied to by either party in every element of every opening: caught at the next check.
+"""Every program, lied to by either party in every element and bit of every opening: caught at the next check.
 
 Ways to lie take turns from element to element, from opening to opening and from party to party, and so does
 whether the insider's state follows the lie. SPDZ_INSIDER_TRIALS is how many further lies of all kinds are
@@ -11,6 +11,7 @@ from itertools import cycle, islice, pairwise, product
 
 import numpy as np
 import pytest
+from insider_frames import Bit
 from insider_programs import ALL, GATES_AND_FUNCTIONS, X, Y, dealt
 from lies import ELEMENT, FRAME, PAIR, cancelling, element, frame, pair, sampled
 
@@ -114,8 +115,20 @@ ILLEGAL = LENGTHS | {
 }
 
 
+BITS = {
+    "a bit beyond the last": lambda own: [*own, Bit(1)],
+    "the last bit of the last byte": lambda own: [*own, *[Bit(0)] * (7 - len(own)), Bit(1)],
+    "all bits beyond the last": lambda own: [*own, *[Bit(1)] * (8 - len(own))],
+    "one byte long": lambda own: [*own, *[Bit(0)] * 8],
+    "nothing": lambda own: [],
+}
+"""Of fewer than eight bits."""
+
+
 def illegal(job, number):
     """Ways to send what is no frame of exchange ``number``."""
+    if number in job.honest.bits:
+        return BITS
     bits, norm = job.word_bits, job.norm
     if number or bits == LONG:
         return ILLEGAL
@@ -128,7 +141,7 @@ def illegal(job, number):
 
 
 @pytest.mark.parametrize(
-    "name", ["S6", "beaver_dot", "S10 candidate", "side by side", "beaver_dot on a stock"]
+    "name", ["S6", "beaver_dot", "nonnegative", "S10 candidate", "side by side", "beaver_dot on a stock"]
 )
 def test_a_frame_that_is_not_well_formed_is_refused_at_once(name):
     job = dealt(name)

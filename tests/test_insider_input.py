@@ -83,11 +83,18 @@ SAID = {
 }
 
 
+UNSEEN = ("bits of inputs", "another highest bit")
+"""A sign of b bits looks at its input modulo 2^b alone, where this lie is none."""
+
+
 @any_program
 def test_an_insider_that_does_not_stand_by_its_input_is_caught(name):
     job = dealt(name)
     for evil, (i, (how, say)) in product((0, 1), enumerate(SAID.items())):
         lie = element(0, i, lambda own, theirs, e: say(own, job.word_bits))  # noqa: B023
+        if (name, how) == UNSEEN:
+            assert np.array_equal(job.duel(evil, lie).value, job.honest.value)
+            continue
         assert job.try_lie(evil, 0, lie, what=f"{how}, {i}")
 
 

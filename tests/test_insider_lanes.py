@@ -14,7 +14,7 @@ from spdz.arithmetic.field import P
 
 PAIRS = ((X, Y), (Y, X), (X, X - Y / 8))
 LANES = len(PAIRS)
-NAMES = ["S10", "S2 candidate", "S4 candidate", "beaver_dot", "side by side", "stock"]
+NAMES = ["S10", "S2 candidate", "S4 candidate", "nonnegative", "beaver_dot", "side by side", "stock"]
 UNEQUAL = ("S10", "S2", "S4 candidate")
 """The first two open their results at once, wait for the third, and have ended when it opens its own."""
 either_party = pytest.mark.parametrize(("name", "evil"), list(product(NAMES, (0, 1))))

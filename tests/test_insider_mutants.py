@@ -1,7 +1,8 @@
 """Engines whose MAC check has a hole: the insider beats them, so what it loses to the real one counts.
 
 Every case is one hole, cut into the real engine, and the lie that fits through it. The real engine catches
-the same lie. With the hole the honest party outputs a wrong number.
+the same lie. With the hole the honest party outputs a wrong number. Holes that concern bits are in
+``test_insider_bit_mutants.py``.
 """
 
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from insider import Dealt, own_hash
 from insider_programs import PROGRAMS, X, Y
 from lies import ELEMENT, PAIR, cancelling, element, pair
 
-from spdz import MacCheckFailed, run_clear
+from spdz import MacCheckFailed, Value, run_clear
 from spdz.arithmetic import field
 from spdz.gates.product import masked_product
 from spdz.readings.party import Party
@@ -31,6 +32,7 @@ def hashing(what):
 
     def partly(self, party):
         changed = copy(self)
+        changed._same = None
         changed._opened = what([tuple(part.reshape(-1, 2) for part in one) for one in self._opened])
         return whole(changed, party)
 
@@ -79,6 +81,7 @@ def comparing(accept):
             raise MacCheckFailed("caught")
         self._checks += 1
         self._opened.clear()
+        self._same = None
 
     return patch.object(MacCheck, "verify", verify)
 
@@ -205,6 +208,7 @@ def sigma_without_alpha_of(party):
 
     def wrong(self, sender):
         changed = copy(self)
+        changed._same = None
         changed._alpha = 0 if self._party == party else self._alpha
         return whole(changed, sender)
 
@@ -235,8 +239,10 @@ def product_without_alpha_of(index):
 
 def product_without_the_macs_of_cross_terms():
     def wrong(party, by, x, y, correction):
-        for operand in (x, y):
-            operand.parts = (*operand.parts[:2], None)
+        x, y = (
+            Value(party, (*z.parts[:2], None), z.shape, z.frac, z.bound, masked=True, span=z.span)
+            for z in (x, y)
+        )
         return masked_product(party, by, x, y, correction)
 
     return patch("spdz.gates.beaver.masked_product", wrong)

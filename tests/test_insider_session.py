@@ -71,8 +71,8 @@ def test_a_session_catches_an_insider_and_destroys_its_tape(tmp_path, name, evil
     for number, size in Dealt(PROGRAMS[name], *PAIRS).honest.openings.items():
         lies = {
             "in the last lane": element(number, size - 1, ELEMENT["plus 1"]),
-            "cancelling between the lanes": pair(number, 0, size // 2, PAIR["cancelling"], 1 << 60),
-            "the honest frame": frame(number, FRAME["the honest frame"]),
+            "cancelling between the lanes": pair(number, 0, size // 2, PAIR["cancelling"], 1 | 1 << 60),
+            "in all lanes": frame(number, FRAME["all plus a random number"], 1 | 1 << 60),
         }
         for what, lie in lies.items():
             outcomes, (path, state) = network_duel(

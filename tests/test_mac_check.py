@@ -1,5 +1,6 @@
 """The MAC check by itself: what passes, and every cheap way of passing that must not."""
 
+import numpy as np
 import pytest
 
 from spdz import MacCheckFailed
@@ -151,3 +152,71 @@ def test_the_message_depends_on_all_openings_in_order_and_on_how_they_were_group
 
     assert message([1, 2], [5]) != message([1], [2, 5])
     assert len({message([1, 2]), message([2, 1]), message([1]), message([2]), message([1, 2, 2])}) == 5
+
+
+def blocks(*rows):
+    return np.array(rows, dtype=np.uint64).reshape(-1, 2)
+
+
+def test_bits_pass_if_their_sigmas_are_the_same_and_fail_for_any_bit_of_them():
+    sigma = blocks([1, 2], [3, 4], [5, 6])
+    for place in range(sigma.size):
+        for bit in (0, 1, 31, 63):
+            checks, other = pair(), sigma.copy()
+            other.flat[place] ^= np.uint64(1 << bit)
+            checks[0].record_bits(sigma)
+            checks[1].record_bits(other)
+            with pytest.raises(MacCheckFailed):
+                checks[0].verify(checks[1].message())
+    for check in (checks := pair()):
+        check.record_bits(sigma.copy())
+        assert check.pending
+    checks[0].verify(checks[1].message())
+    assert not checks[0].pending
+
+
+def message_of(*openings):
+    """Of party 0: arrays of bits as blocks, elements as the MAC shares of zeros."""
+    check, _ = pair()
+    for kind, same in openings:
+        if kind == "bits":
+            check.record_bits(same)
+        else:
+            check.record(np.zeros_like(same), same)
+    return check.message()
+
+
+def test_bits_never_pass_for_elements():
+    """Although what is the same at both parties is, byte by byte, the same."""
+    same = blocks([1, 2], [3, 4])
+    assert message_of(("bits", same)) != message_of(("elements", same))
+    both = message_of(("bits", same), ("elements", same)), message_of(("elements", same), ("bits", same))
+    assert both[0] != both[1]
+
+
+def test_one_array_of_bits_never_passes_for_several():
+    """Not even where a sigma spells what begins an array."""
+    a, spelled = blocks([7, 8]), np.frombuffer(b"bits" * 4, dtype="<u8").reshape(1, 2)
+    together = message_of(("bits", np.concatenate([a, spelled])))
+    assert together != message_of(("bits", a), ("bits", spelled))
+    assert together != message_of(("bits", a), *[("bits", a[:0])] * 4)
+
+
+def test_what_is_recorded_after_a_message_is_in_the_next_one():
+    check, other = pair()
+    seen = [check.message()]
+    steps = [
+        lambda one: one.record_bits(blocks([1, 2])),
+        lambda one: one.record(field.from_ints([0]), field.zeros((1,))),
+        lambda one: one.record_bits(blocks([0, 0])),
+        lambda one: one.absorb([b"a"], b"a"),
+    ]
+    for step in steps:
+        for one in (check, other):
+            step(one)
+        seen.append(check.message())
+    check.verify(other.message())
+    seen.append(check.message())
+    check.record_bits(blocks([1, 2]))
+    seen.append(check.message())
+    assert len(set(seen)) == len(seen)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from proxy_helpers import Forwarder
 
-from bench.pair import free_port
+from bench.parties import free_port
 from dealer.mission import deal_mission
 from protocols.catalog import Purpose
 

@@ -54,7 +54,7 @@ def test_a_drop_at_any_byte_of_a_session_loses_and_mixes_nothing(world, sender):
 
 def test_drop_after_drop_is_survived(world):
     folder, paths = world
-    link = Link([(k % 2, 800 + 90 * k) for k in range(9)])
+    link = Link([(k % 2, 800 + 60 * k) for k in range(9)])
     check_all(robots(folder, paths, link, all_batches))
     assert len(link.ends) >= 10
 
@@ -145,7 +145,7 @@ class Clock:
 def test_the_wait_begins_again_whenever_something_went_on(tmp_path):
     """The pauses after all drops are longer than the time to wait, each of them shorter."""
     paths = mission(tmp_path / "m", 200, tile=(1, 1))
-    link = Link([(k % 2, 1900) for k in range(12)])
+    link = Link([(k % 2, 1700) for k in range(12)])
     clock = Clock()
     patches = [
         (batching, "MOST_JOBS", 1),

@@ -6,7 +6,7 @@ Each program of :mod:`random_programs` is read by the meter, the dealer, both pa
   step is exact, else within the documented errors (:mod:`exact_reading`);
 - so is its value in the clear, and so is the number that is opened;
 - every value, those inside gates and functions among them, keeps to its bound (:mod:`watching`);
-- all readings agree on shapes, fractional bits and bounds.
+- all readings agree on shapes, fractional bits, bounds, and on which comparisons nothing has used.
 
 A program may be refused, in known words, by the meter or the dealer: never once a party has begun.
 
@@ -87,8 +87,11 @@ def run(program):
     for name in readings[0]:
         forms = {form(reading[name]) for reading in readings}
         hold(len(forms) == 1, program, name, "has several forms", forms)
-        first, second, plain, *_ = (reading[name] for reading in readings)
-        compare(program, name, put_together(first, second), first)
+        first, second, plain, meter, dealer = (reading[name] for reading in readings)
+        undecided = {value.undecided for value in (first, second, meter, dealer)}
+        hold(len(undecided) == 1, program, name, "was used in some readings alone")
+        if not first.undecided:  # a comparison that is opened as bits, or never used, has no parts
+            compare(program, name, put_together(first, second), first)
         compare(program, name, plain.parts[0], plain)
     compare_opened(program, secure.value)
     compare_opened(program, clear.value)

@@ -37,7 +37,7 @@ def _found(report: Report) -> Table:
     table.add_row("another place", str(private.false_positives), str(clear.false_positives))
     table.add_row("precision", f"{private.precision:.2f}", f"{clear.precision:.2f}")
     table.add_row("recall", f"{private.recall:.2f}", f"{clear.recall:.2f}")
-    table.add_row("decisions that differ", str(report.disagreements), "")
+    table.add_row("decisions that differ by more than the resolution", str(report.disagreements), "")
     return table
 
 
@@ -53,6 +53,7 @@ def _cost(report: Report) -> Table:
     table = Table(title=f"Cost: two processes, TLS on loopback, {report.security}", title_justify="left")
     for name in ("", "private", "descriptors in the clear"):
         table.add_column(name, justify="left" if not name else "right")
+    slots = report.dealt_slots
     sent, clear = sum(report.bytes_sent), sum(report.clear_bytes)
     table.add_row("sent by both, in all", f"{sent / 1e6:.2f} MB", f"{clear / 1e6:.2f} MB (float64)")
     table.add_row("sent, a pair", f"{sent / report.pairs:,.0f} B", f"{clear / report.pairs:,.0f} B")
@@ -63,7 +64,7 @@ def _cost(report: Report) -> Table:
         f"{report.milliseconds / report.pairs:.3f} ms",
         f"{report.clear_milliseconds / report.pairs:.6f} ms",
     )
-    table.add_row("dealt before the mission", f"{report.dealt_comparisons:,} comparisons", "-")
+    table.add_row("dealt before the mission", f"a gallery of {slots[0]} x {slots[1]}", "-")
     table.add_row("  in", f"{report.dealing_seconds:.1f} s", "-")
     table.add_row("  a robot's folder", f"{max(report.folder_bytes) / 1e6:.1f} MB", "-")
     return table
@@ -78,5 +79,6 @@ def _leaked(report: Report) -> Table:
     table.add_row("number of keyframes", f"yes ({alice}, {bob})", "yes")
     table.add_row("which pairs match", f"yes ({report.candidates} of {report.pairs:,})", "yes")
     table.add_row("how alike a pair is", "no", "yes")
+    table.add_row("a vector's length", "1, as was proved" if report.security == "malicious" else "no", "yes")
     table.add_row("a descriptor, hence images and paths", "no", f"yes, all {report.dimension} numbers")
     return table

@@ -12,20 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from bench.demo import dataset, places
 from bench.demo.picture import draw_map
-from bench.pair import free_port
-from dealer.mission import deal_mission
-from protocols.candidate import is_candidate
-from protocols.catalog import Purpose
+from bench.parties import free_port
+from dealer.gallery_mission import deal_galleries
+from protocols.catalog import GalleryPurpose
 from protocols.scores import S10
 from spdz.console.progress import progress_bar
 from spdz.foundations.types import Security
 from spdz.local import run_clear
-
-TILE = (50, 60)
-"""Keyframes of Alice and of Bob in a job."""
 
 TIMEOUT = 300.0
 """Seconds after which a robot's process counts as hung."""
@@ -49,7 +46,7 @@ class Report:
     private_quality: places.Quality
     clear_quality: places.Quality
     disagreements: int
-    dealt_comparisons: int
+    dealt_slots: tuple[int, int]
     dealing_seconds: float
     folder_bytes: tuple[int, int]
     bytes_sent: tuple[int, int]
@@ -84,27 +81,24 @@ def run_demo(out: Path, security: Security = "malicious") -> Report:
     out.mkdir(parents=True, exist_ok=True)
     alice, bob = places.robots(run)
     with tempfile.TemporaryDirectory(prefix="spdz-demo-") as folder:
-        purpose = Purpose("S10", dim=alice.descriptors.shape[1], tile=TILE, max_norm=1.0)
-        jobs = -(-len(alice.descriptors) // TILE[0]) * -(-len(bob.descriptors) // TILE[1])
+        purpose = GalleryPurpose("S10", dim=alice.descriptors.shape[1])
+        slots = len(alice.descriptors), len(bob.descriptors)
         _say("dealing, as the trusted dealer does before the mission")
         started = time.perf_counter()
         with progress_bar("dealing") as bar:
-            dealt = deal_mission(
-                Path(folder), (alice.name, bob.name), purpose, jobs * purpose.pairs, security, progress=bar
+            dealt = deal_galleries(
+                Path(folder), (alice.name, bob.name), purpose, slots, security, progress=bar
             )
         dealing = time.perf_counter() - started
         _say("two robots compare all keyframes: two processes, TLS 1.3 on loopback")
         first, second = _match(Path(folder), (alice, bob), places.DEFAULT_THRESHOLD)
-    decisions = np.zeros((len(alice.descriptors), len(bob.descriptors)), dtype=np.bool_)
-    decisions[tuple(np.array(first["matches"], dtype=np.int64).reshape(-1, 2).T)] = True
+    decisions = _decisions(first)
     if sorted((j, i) for i, j in second["matches"]) != sorted(map(tuple, first["matches"])):
         raise DemoFailed("the two robots report different matches")
     truth = places.truth(alice, bob)
-    exact = run_clear(
-        is_candidate(S10.within(1.0), places.DEFAULT_THRESHOLD),
-        alice.descriptors[:, None],
-        bob.descriptors[None],
-    ).value
+    scores = run_clear(S10.within(1.0), alice.descriptors[:, None], bob.descriptors[None]).value
+    exact = scores >= places.DEFAULT_THRESHOLD
+    clear_cut = np.abs(scores - places.DEFAULT_THRESHOLD) > 2.0 ** -(purpose.resolution or 64) / 2
     private, clear = bob.fold(decisions), bob.fold(exact)
     picture = out / "map.png"
     draw_map(picture, run, alice, bob, private, truth)
@@ -118,8 +112,8 @@ def run_demo(out: Path, security: Security = "malicious") -> Report:
         clear_candidates=int(clear.sum()),
         private_quality=places.precision_recall(private, truth),
         clear_quality=places.precision_recall(clear, truth),
-        disagreements=int((decisions != exact).sum()),
-        dealt_comparisons=dealt.comparisons,
+        disagreements=int(((decisions != exact) & clear_cut).sum()),
+        dealt_slots=dealt.capacity,
         dealing_seconds=dealing,
         folder_bytes=(dealt.folders[Path(folder, alice.name)], dealt.folders[Path(folder, bob.name)]),
         bytes_sent=(first["bytes_sent"], second["bytes_sent"]),
@@ -129,6 +123,15 @@ def run_demo(out: Path, security: Security = "malicious") -> Report:
         clear_milliseconds=_clear_milliseconds(alice, bob),
         picture=str(picture),
     )
+
+
+def _decisions(answer: dict[str, Any]) -> npt.NDArray[np.bool_]:
+    """Which pairs match, descriptor by descriptor, from one robot's answer, which numbers slots."""
+    decisions = np.zeros((len(answer["new"]), len(answer["peer_new"])), dtype=np.bool_)
+    rows, columns = ({slot: i for i, slot in enumerate(answer[name])} for name in ("new", "peer_new"))
+    for own, peer in answer["matches"]:
+        decisions[rows[own], columns[peer]] = True
+    return decisions
 
 
 def _say(text: str) -> None:

@@ -47,12 +47,30 @@ def norm_bound(max_norm: float, n: int) -> int:
     return int(whole) + (rest > 0) + (isqrt(n - 1) + 2) // 2
 
 
-def encode(x: npt.ArrayLike, *, max_norm: float, name: str = "descriptor") -> IntArray:
+def square_bounds(min_norm: float, max_norm: float, n: int) -> tuple[int, int]:
+    """The least and the greatest square that the norm of a quantised vector can have, raw.
+
+    Args:
+        min_norm: The smallest L2 norm of a vector before it is quantised.
+        max_norm: The largest.
+        n: Number of coordinates.
+
+    Raises:
+        ValueError: unless 0 <= min_norm <= max_norm.
+    """
+    if not 0 <= min_norm <= max_norm:
+        raise ValueError(f"min_norm lies between 0 and max_norm, not at {min_norm:g}")
+    shortest = int(ldexp(min_norm, FRACTION_BITS)) - (isqrt(n - 1) + 2) // 2
+    return max(shortest, 0) ** 2, norm_bound(max_norm, n) ** 2
+
+
+def encode(x: npt.ArrayLike, *, max_norm: float, min_norm: float = 0.0, name: str = "descriptor") -> IntArray:
     """Check and quantise vectors: round(x * 2^16), ties to even.
 
     Args:
         x: Real floats or integers of shape S + (N,), N >= 1, no axis empty.
         max_norm: The largest L2 norm over the last axis.
+        min_norm: The smallest.
         name: What to call the data in an error message. The messages hold positions, never values.
 
     Returns:
@@ -72,7 +90,13 @@ def encode(x: npt.ArrayLike, *, max_norm: float, name: str = "descriptor") -> In
     slack = n * 2.0**-52
     if not (squares <= limit * (1 - slack)).all():
         _explain_or_accept(real, scaled, squares, limit, slack, max_norm, name)
-    return scaled.astype(np.int64)
+    raw = scaled.astype(np.int64)
+    least, _ = square_bounds(min_norm, max_norm, n)
+    for row in np.argwhere(squares < least * (1 + slack)):
+        if sum(value * value for value in raw[tuple(row)].tolist()) < least:
+            vector = f"the vector at {_position(row)}" if row.size else "the vector"
+            raise ValueError(f"{name}: {vector} is shorter than {min_norm:g}, the smallest norm allowed here")
+    return raw
 
 
 def _real_array(x: npt.ArrayLike, name: str) -> FloatArray:

@@ -8,6 +8,7 @@ Once a chain value is overwritten, neither it nor an earlier job's key can be re
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
@@ -131,6 +132,11 @@ class FixedKeyHash:
         return run
 
 
+def one_batch(n: int, key: bytes) -> Batches:
+    """All n keys under one public key; no batch where there is no key."""
+    return [(slice(0, n), key)] if n else []
+
+
 class CircularHash:
     """H_k(x) = AES_k(sigma(x)) xor sigma(x), sigma(low, high) = (high, high xor low), for batches of blocks.
 
@@ -150,7 +156,7 @@ class CircularHash:
             16 bytes.
     """
 
-    __slots__ = ("_batches",)
+    __slots__ = ("_batches", "_ends")
 
     def __init__(self, n: int, batches: Batches) -> None:
         self._batches: list[tuple[int, int, Callable[[Buffer, Buffer], int]]] = []
@@ -166,6 +172,7 @@ class CircularHash:
             end = keys.stop
         if end != n:
             raise ValueError(f"the batches cover {end} blocks, not {n}")
+        self._ends = [last for _, last, _ in self._batches]
 
     def bind(self, start: int, inp: _Words, out: _Words) -> Callable[[], None]:
         """A function that hashes m of the blocks, from the block ``start`` on, each time that it is called.
@@ -182,10 +189,11 @@ class CircularHash:
         encrypted = scratch[: blocks.nbytes].view(np.uint64).reshape(blocks.shape)
         source, destination = blocks.reshape(-1).view(np.uint8).data, scratch.data
         calls = []
-        for first, last, update in self._batches:
-            begin, end = (_BLOCK * (min(max(i, start), stop) - start) for i in (first, last))
-            if begin < end:
-                calls.append((update, source[begin:end], destination[begin : end + _BLOCK]))
+        for first, last, update in self._batches[bisect_right(self._ends, start) :]:
+            if first >= stop:
+                break
+            begin, end = _BLOCK * max(first - start, 0), _BLOCK * (min(last, stop) - start)
+            calls.append((update, source[begin:end], destination[begin : end + _BLOCK]))
         low, high, xor = blocks[:, 0], blocks[:, 1], np.bitwise_xor
         encrypted_low, encrypted_high, out_low, out_high = encrypted[:, 0], encrypted[:, 1], out[0], out[1]
 

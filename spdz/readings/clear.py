@@ -36,6 +36,7 @@ class Clear(ClearText):
     def shared(self, x: Value) -> Value:
         """The same integers."""
         if not x.masked:
+            x.decide()
             return x
         return self.value(x.parts[0], x.frac, x.bound, is_bit=x.is_bit)
 

@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from math import floor, ldexp
 from typing import Any, Protocol
 
 from spdz.arithmetic.bound import Bound
-from spdz.arithmetic.field import P
-from spdz.arithmetic.fixed_point import FRACTION_BITS, norm_bound
+from spdz.arithmetic.fixed_point import FRACTION_BITS, norm_bound, square_bounds
 from spdz.foundations.types import Security, Shape
 from spdz.gates.interval import inside
 from spdz.gates.output import output
 from spdz.gates.product import dot
 from spdz.rounds.coroutine import check
 from spdz.values.engine import Engine
-from spdz.values.input_mask import LONG, SLOT_REJECTION, span, word_bits
+from spdz.values.input_mask import SLOT_REJECTION, provable_bits, span, word_bits
 from spdz.values.standing import Standing
 from spdz.values.value import Value
 
@@ -69,13 +67,12 @@ class Terms:
     proof: bool = True
 
     def __post_init__(self) -> None:
-        if self.word_bits == LONG or 2 * self.dim << 2 * self.word_bits >= P:
+        if self.word_bits > provable_bits(self.dim):
             raise ValueError(
                 f"vectors of {self.dim} numbers and norm {self.program.max_norm:g} need words of more "
                 "than 57 bits, which a gallery has not: scale them down and deal for a smaller max_norm"
             )
-        if not 0 <= self.min_norm <= self.program.max_norm:
-            raise ValueError(f"min_norm lies between 0 and max_norm, not at {self.min_norm:g}")
+        _ = self.squares  # raises for norms out of range
 
     @property
     def norm(self) -> int:
@@ -85,8 +82,7 @@ class Terms:
     @property
     def squares(self) -> tuple[int, int]:
         """The least and the greatest square of an honest vector's norm, raw."""
-        rounding = norm_bound(1.0, self.dim) - (1 << FRACTION_BITS)
-        return max(floor(ldexp(self.min_norm, FRACTION_BITS)) - rounding, 0) ** 2, self.norm**2
+        return square_bounds(self.min_norm, self.program.max_norm, self.dim)
 
     @property
     def word_bits(self) -> int:

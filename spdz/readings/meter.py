@@ -131,7 +131,7 @@ class Meter(Recipe):
             self._draw(1 - source.owner, pad=size)
             self._draw(source.owner, correction=size)
         self.correlations["input mask"] += size
-        symbol = self._note("input", source.owner, source.shape, source.norm, len(self.trace))
+        symbol = self._note("input", source.owner, source.shape, source.norm, source.proved, len(self.trace))
         bound = Bound.of_norm(source.norm)
         span = input_mask.span(self.input_mask_bits(source))
         return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True, span=span)

@@ -81,6 +81,7 @@ class Party(Evaluation):
     def shared(self, x: Value) -> Value:
         """``[[x]] = eps + [[r]]``."""
         if not x.masked:
+            x.decide()
             return x
         eps, *shares = x.parts
         share = Value(self, tuple(shares), x.shape, x.frac, x.bound, is_bit=x.is_bit)

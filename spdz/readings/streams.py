@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spdz.arithmetic import field
-from spdz.arithmetic.prf import Batches, expand
+from spdz.arithmetic.prf import Batches, expand, one_batch
 from spdz.dcf import Keys, key_bytes
 from spdz.dcf.keys import BINARY, from_records, hash_index, record_bytes
 from spdz.foundations.errors import TapeDamaged
@@ -80,7 +80,7 @@ class JobStream:
 
     def batches(self, shape: Shape) -> tuple[Batches, Order]:
         """The stored public hash key of the half-tree keys of an array, and the keys' order."""
-        return [(slice(0, prod(shape)), bytes(self.correction_bytes(_HASH_KEY)))], None
+        return one_batch(prod(shape), bytes(self.correction_bytes(_HASH_KEY))), None
 
     def keys(self, party: int, shape: Shape, bits: int, payloads: int) -> Keys:
         """The next DCF keys, one an entry of an array."""
@@ -132,7 +132,7 @@ class RecordStream:
         if stop > rows.shape[1]:
             raise TapeDamaged("a record is shorter than the program needs")
         self._at[buffer] = stop
-        return np.ascontiguousarray(rows[:, start:stop]).view("<u8").reshape(len(rows), count, 2)
+        return rows[:, start:stop].view("<u8").reshape(len(rows), count, 2)
 
     def _entries(self, buffer: int, shape: Shape) -> Block:
         return restored(self._rows(buffer, self.each(shape)), self._order).reshape((*shape, 2))

@@ -36,13 +36,4 @@ def quantised(terms: Terms, descriptors: npt.ArrayLike) -> IntArray:
         raise ValueError(f"descriptors are an array of shape (n, {terms.dim}), not {array.shape}")
     if not len(array):
         return np.empty((0, terms.dim), dtype=np.int64)
-    raw = encode(array, max_norm=terms.program.max_norm)
-    least, _ = terms.squares
-    if least:
-        squares = (raw.astype(object) ** 2).sum(axis=1)
-        for index in np.flatnonzero(squares < least)[:1]:
-            raise ValueError(
-                f"descriptor: the vector at index {index} is shorter than {terms.min_norm:g}, the smallest "
-                "norm that this gallery was dealt for"
-            )
-    return raw
+    return encode(array, max_norm=terms.program.max_norm, min_norm=terms.min_norm)

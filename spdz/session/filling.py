@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from spdz.channels import Channel, FrameKind
-from spdz.channels.frames import HEADER_BYTES
+from spdz.channels.frames import HEADER_BYTES, MAX_FRAME
 from spdz.foundations.errors import OutOfStep, ProtocolViolation, TapeExhausted
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
@@ -83,31 +83,40 @@ class Filling:
             Whether either side has more to bring.
         """
         own, peer = self.ledger.slots[self.party], self.ledger.slots[1 - self.party]
-        entries, taken = self._masked(max(1, min(MOST, _BYTES // self._size)))
-        unsent = list(enumerate(own.eps(self.sent, own.filled), self.sent))
-        told = [*unsent, *entries]
+        unsent = own.filled - self.sent
+        entries, taken = self._masked(max(1, min(MOST, _BYTES // self._size)) - unsent)
+        own.fill(entries)  # before anything is told: a void slot stays void, whatever the peer does
+        self.place(self.party, entries)
+        del self.waiting[:taken]
+        step.own += [slot for slot, words in entries if words is not None]
+        told = list(enumerate(own.eps(self.sent, own.filled), self.sent))
         offer: dict[str, Json] = {
             "from": self.sent,
             "slots": len(told),
             "void": [i for i, (_, words) in enumerate(told) if words is None],
-            "more": len(self.waiting) > taken,
+            "more": bool(self.waiting),
         }
         answer = agreement.control(offer, *offer)
         count, void = self._read_offer(answer, peer.filled)
-        own.fill(entries)
-        del self.waiting[:taken]
-        step.own += [slot for slot, words in entries if words is not None]
         frames = [words for _, words in told if words is not None]
         reply = self.channel.exchange(FrameKind.DATA, frames, self._size * (count - len(void)))
-        step.stats.rounds += 1
-        step.stats.bytes_sent += HEADER_BYTES + sum(map(len, frames))
+        step.filling.stats.rounds += 1
+        step.filling.stats.bytes_sent += HEADER_BYTES + sum(map(len, frames))
         received = self._received(peer.filled, count, void, reply)
         self.place(1 - self.party, received)  # refuses bad words before they are kept
         peer.fill(received)
-        self.place(self.party, entries)
         step.peer += [slot for slot, words in received if words is not None]
         self.sent = own.filled
         return bool(self.waiting) or bool(answer["more"])
+
+    def take_back(self, slots: Sequence[int]) -> None:
+        """Bring the descriptors in own slots that become void once more, in other slots."""
+        own, shelf, terms = self.ledger.slots[self.party], self.shelves[self.party], self.terms
+        held = [(slot, words) for slot in slots if (words := own.eps(slot, slot + 1)[0]) is not None]
+        if held:
+            raw = b"".join(words for _, words in held)
+            masked = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            self.waiting[:0] = list(masked - shelf.masks([slot for slot, _ in held]))
 
     def place(self, owner: int, entries: Sequence[Entry]) -> None:
         """Put words on the shelf.
@@ -152,9 +161,10 @@ class Filling:
         well_formed = (
             type(count) is int
             and type(answer["more"]) is bool
-            and 0 <= count <= min(2 * MOST + 1, capacity - filled)
+            and 0 <= count <= min(MOST, capacity - filled)
             and isinstance(void, list)
             and all(type(one) is int and 0 <= one < count for one in void)
+            and self._size * (count - len(set(void))) <= MAX_FRAME
         )
         if not well_formed:
             raise ProtocolViolation("the peer's offer of slots is malformed, or more than its gallery holds")

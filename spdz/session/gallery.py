@@ -24,38 +24,28 @@ from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
-from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
-from spdz.readings.gallery import Terms, compare
+from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
+from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
 from spdz.session.admission import checked_plan, quantised
 from spdz.session.agreement import Agreement
+from spdz.session.comparing import Comparing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
 from spdz.session.lifecycle import Lifecycle
 from spdz.session.meeting import Standpoint, meet
-from spdz.session.pairs import read_pairs
 from spdz.session.shelf import Shelf, configured
 from spdz.session.strips import (
     Block,
-    Cell,
     Step,
-    cells,
     decode_results,
-    encode_results,
     oriented,
-    pieces,
     within,
 )
-
-STRIP_PAIRS = 1 << 16
-"""Most pairs of a strip, unless it is one row or column."""
-
-CELL_BYTES = 64 << 20
-"""Most stored bytes of the pairs that are compared at a time."""
 
 _PREPARED = 128
 """Slots prepared at a time."""
@@ -90,9 +80,10 @@ class GallerySession(Lifecycle):
         self._shelves = (Shelf(tape, terms, 0), Shelf(tape, terms, 1))
         self._waiting = [] if waiting is None else waiting
         self._filling = Filling(tape, terms, ledger, self._shelves, channel, self._waiting)
-        self._again: Strip | None = None
+        self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
+            self._comparing = Comparing(tape, terms, self._plan, ledger, self._shelves)
             own = handshake.Hello.of_gallery(tape.header)
             message = channel.exchange(FrameKind.CONTROL, [own.encode()], None)
             peer = handshake.Hello.decode(bytes(message))
@@ -152,9 +143,8 @@ class GallerySession(Lifecycle):
         """
         self._require_alive()
         raw = quantised(self._terms, descriptors)
-        with self._turn:
-            self.require_room(len(raw))
-            self._waiting += list(raw)
+        self.require_room(len(raw))
+        self._waiting += list(raw)
 
     def step(
         self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
@@ -172,10 +162,12 @@ class GallerySession(Lifecycle):
         with self._guard():
             step, more = Step() if into is None else into, True
             while more:
-                more = self._filling.exchange(self._agreement, step)
-                self._begin()
-                self._prepare(step.stats)
-                self._compare_new(step, on_block)
+                with step.filling.timed() as stats:
+                    more = self._filling.exchange(self._agreement, step)
+                    self._begin()
+                    self._prepare(stats)
+                with step.comparing.timed():
+                    self._comparing.new(self._party, self._run, step, on_block)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -202,7 +194,7 @@ class GallerySession(Lifecycle):
             )
 
     def _prepare(self, stats: Stats) -> None:
-        """Prepare and prove all slots that are not ready, of both parties in the same rounds."""
+        """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
@@ -212,11 +204,12 @@ class GallerySession(Lifecycle):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
                 self._ledger.slots[shelf.owner].note(dict(zip(slots, party.notes(len(slots)), strict=True)))
+                self._ready[shelf.owner] = slots[-1] + 1
 
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(slots.ready, slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -226,44 +219,9 @@ class GallerySession(Lifecycle):
                 f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
             )
 
-    def _compare_new(self, step: Step, on_block: Callable[[Block], None]) -> None:
-        if self._again is not None:
-            strip, self._again = self._again, None
-            self._run_strip(strip, step, on_block)
-        first, second = self._ledger.slots
-        for strip in between(self._ledger.done, (first.filled, second.filled)):
-            for piece in pieces(strip, min(STRIP_PAIRS, self._most_pairs)):
-                self._run_strip(piece, step, on_block)
-
-    def _run_strip(self, strip: Strip, step: Step, on_block: Callable[[Block], None]) -> None:
-        """Compare a strip, keep its results, then show them."""
-        kept = within(strip, self._ledger.done)  # the peer has missed it
-        if not kept:
-            self._ledger.pin_text(self._plan.text.encode())
-            self._ledger.begin(strip)
-        first, second = (set(slots.voids) for slots in self._ledger.slots)
-        parts = [
-            self._run_cell(rows, columns, step.stats)
-            for rows, columns in cells(strip, (first, second), self._most_pairs)
-        ]
-        if kept:
-            return
-        self._ledger.commit(strip, encode_results(strip, parts, bits=self._plan.bits))
-        for part in parts:
-            block = oriented(self.party, part)
-            step.blocks.append(block)
-            on_block(block)
-
-    @property
-    def _most_pairs(self) -> int:
-        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, self._tape.header.pair_correction)))
-
-    def _run_cell(self, rows: range, columns: range, stats: Stats) -> Cell:
-        stream = read_pairs(self._tape, rows, columns)
+    def _party(self, stream: RecordStream, stats: Stats) -> Party:
         check, security = self._agreement.mac_check, self._terms.security
-        party = Party(self.party, security, stream, check, self._alpha, stats)
-        sides = (self._shelves[0].filled(rows), self._shelves[1].filled(columns))
-        return rows, columns, self._run(compare(configured(party, self._terms), self._terms, *sides), stats)
+        return configured(Party(self.party, security, stream, check, self._alpha, stats), self._terms)
 
     def _run(self, protocol: Any, stats: Stats) -> Any:
         return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
@@ -289,11 +247,14 @@ class GallerySession(Lifecycle):
         agreed = meet(own, peer, self.party, self._plan)
         mine = ledger.slots[self.party]
         mine.fill([(mine.filled + i, None) for i in range(agreed.lost)])
+        self._ready = list(agreed.ready)
+        self._filling.take_back([slot for slot in agreed.void[self.party] if slot >= self._ready[self.party]])
         for slots, void in zip(ledger.slots, agreed.void, strict=True):
             slots.void(void)
-        if agreed.burn is not None and not within(agreed.burn, ledger.done):
-            ledger.burn(agreed.burn)
-        self._filling.sent, self._again = agreed.send, agreed.again
+        for strip in agreed.burn:
+            if not within(strip, ledger.done):
+                ledger.burn(strip)
+        self._filling.sent, self._comparing.again = agreed.send, agreed.again
 
     def _restore(self) -> None:
         """Read what earlier sessions have filled."""
@@ -302,7 +263,8 @@ class GallerySession(Lifecycle):
             for start in range(0, slots.filled, _PREPARED):
                 entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
-                known = [slot for slot, words in entries if words is not None and slot < slots.ready]
+                ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
+                known = [slot for slot, words in entries if words is not None and slot < ready]
                 shelf.restore(known, [slots.noted(slot) or b"" for slot in known], self._alpha)
 
     @property

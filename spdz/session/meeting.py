@@ -16,6 +16,7 @@ from spdz.foundations.types import Json
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Rectangle, Strip, between, grown
 from spdz.readings.gallery_plan import GalleryPlan
+from spdz.session.strips import within
 
 MOST = 4096
 """Slots by which the two sides may differ, and void slots that one may tell: it bounds what a lie costs."""
@@ -75,11 +76,13 @@ class Standpoint:
             filled, prepared, done = (_pair(fields[name], capacity) for name in ("filled", "ready", "done"))
             void = (_slots(fields["void"][0], filled[0]), _slots(fields["void"][1], filled[1]))
             flight = fields["flight"]
-            strip = None
+            strip, used = None, done
             if flight is not None:
                 a, b, c, d = (_whole(number, max(capacity)) for number in flight)
                 strip = Strip(range(a, b), range(c, d))
-                grown(done, strip)
+                used = grown(done, strip)
+            if used[0] > filled[0] or used[1] > filled[1] or (0 in done and any(done)):
+                raise ValueError("pairs of slots that are not filled, or no rectangle of pairs")
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise ProtocolViolation(f"the peer's account of its gallery is malformed ({error})") from None
         return cls(filled, prepared, void, done, strip)
@@ -111,15 +114,17 @@ class Agreed:
         void: Slots that are void from now on, of party 0 and of party 1, as far as they are filled here.
         lost: Own slots that the peer has and this side has not: they are used and void.
         send: The first own slot that the peer has not.
-        again: A strip to run first, which one side may have finished.
-        burn: A strip that cannot be run again.
+        ready: Slots, from the first on, that both have prepared, of party 0 and of party 1.
+        again: Strips to run first, in order: one side may have finished the first of them.
+        burn: Strips that cannot be run again, in order.
     """
 
     void: tuple[list[int], list[int]]
     lost: int
     send: int
-    again: Strip | None
-    burn: Strip | None
+    ready: tuple[int, int]
+    again: list[Strip]
+    burn: list[Strip]
 
 
 def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Agreed:
@@ -150,34 +155,46 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
         if plan.slots[i].openings > 1:  # half prepared
             void[i] |= set(range(min(own.ready[i], peer.ready[i]), min(own.filled[i], peer.filled[i])))
     first, second = (sorted(slot for slot in void[i] if slot < own.filled[i]) for i in (0, 1))
-    return Agreed(
-        (first, second),
-        max(0, missing),
-        peer.filled[party],
-        *_strips(own, peer, plan.pair.openings <= 1),
-    )
+    again, burn = _strips(own, peer, plan.pair.openings <= 1)
+    for strip in (*again, *burn):
+        rows, columns = (min(own.filled[i], peer.filled[i]) for i in (0, 1))
+        if not within(strip, (rows, columns)):
+            raise TapeMismatch(
+                f"{strip} were begun, and one side knows {rows} x {columns} slots only: its gallery was "
+                "restored from an old copy. Deal new tapes"
+            )
+    ready = (min(own.ready[0], peer.ready[0]), min(own.ready[1], peer.ready[1]))
+    return Agreed((first, second), max(0, missing), peer.filled[party], ready, again, burn)
 
 
-def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[Strip | None, Strip | None]:
-    """The strip to run again, and the one to burn."""
+def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[Strip], list[Strip]]:
+    """The strips to run again, and those to burn.
+
+    A side that has finished a strip begins the next before it can know that the other has finished it too. So
+    one may be a strip behind, while the other has begun the next.
+    """
     if own.done == peer.done:
-        flights = {own.flight, peer.flight} - {None}
+        flights = {strip for strip in (own.flight, peer.flight) if strip is not None}
         if len(flights) > 1:
             raise TapeMismatch("the two galleries are in different strips: deal new tapes")
-        strip = flights.pop() if flights else None
-    else:
-        behind, ahead = (own, peer) if own.done <= peer.done else (peer, own)
-        try:
-            strips = between(behind.done, ahead.done)
-        except ValueError:
-            strips = []
-        if len(strips) != 1 or behind.flight not in (None, strips[0]) or ahead.flight is not None:
-            raise TapeMismatch(
-                f"this side has compared {own.done[0]} x {own.done[1]} slots and the peer "
-                f"{peer.done[0]} x {peer.done[1]}: one of the galleries was restored from an old copy. "
-                "Deal new tapes"
-            )
-        strip = strips[0]
-        if behind.flight is None:  # it has given the strip up: the peer's results are all there will be
-            return None, strip
-    return (strip, None) if repeatable else (None, strip)
+        return _told(repeatable, list(flights))
+    behind, ahead = (own, peer) if own.done <= peer.done else (peer, own)
+    try:
+        strips = between(behind.done, ahead.done)
+    except ValueError:
+        strips = []
+    if len(strips) != 1 or behind.flight not in (None, strips[0]):
+        raise TapeMismatch(
+            f"this side has compared {own.done[0]} x {own.done[1]} slots and the peer "
+            f"{peer.done[0]} x {peer.done[1]}: one of the galleries was restored from an old copy. "
+            "Deal new tapes"
+        )
+    again, burn = _told(
+        repeatable and behind.flight is not None, strips
+    )  # given up: it stays without results
+    next_again, next_burn = _told(repeatable, [] if ahead.flight is None else [ahead.flight])
+    return again + next_again, burn + next_burn
+
+
+def _told(repeatable: bool, strips: list[Strip]) -> tuple[list[Strip], list[Strip]]:
+    return (strips, []) if repeatable else ([], strips)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,6 +35,28 @@ class Block:
 
 
 @dataclass(slots=True)
+class Phase:
+    """What one part of a step cost this side.
+
+    Attributes:
+        seconds: Wall clock, the peer's part and the disk included.
+        stats: Rounds, bytes and correlations.
+    """
+
+    seconds: float = 0.0
+    stats: Stats = field(default_factory=Stats)
+
+    @contextmanager
+    def timed(self) -> Iterator[Stats]:
+        """Time a part of it, and give the counters."""
+        started = time.perf_counter()
+        try:
+            yield self.stats
+        finally:
+            self.seconds += time.perf_counter() - started
+
+
+@dataclass(slots=True)
 class Step:
     """What one step brought.
 
@@ -40,13 +64,23 @@ class Step:
         own: Slots that this side's new descriptors are in, in the order in which they were added.
         peer: New slots of the peer's.
         blocks: Results, in the order in which they were checked.
-        stats: This side's cost.
+        filling: Cost of masking, sending, preparing and proving new slots.
+        comparing: Cost of comparing, from slots that both sides hold to results that are checked and durable.
     """
 
     own: list[int] = field(default_factory=list)
     peer: list[int] = field(default_factory=list)
     blocks: list[Block] = field(default_factory=list)
-    stats: Stats = field(default_factory=Stats)
+    filling: Phase = field(default_factory=Phase)
+    comparing: Phase = field(default_factory=Phase)
+
+    @property
+    def stats(self) -> Stats:
+        """This side's cost of all of it."""
+        total = Stats()
+        for phase in (self.filling, self.comparing):
+            total.add(phase.stats)
+        return total
 
     @property
     def matches(self) -> list[tuple[int, int]]:

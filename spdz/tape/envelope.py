@@ -56,6 +56,15 @@ GALLERY = Kind(b"spdzgall", 1, "a gallery's tape, dealt with --slots", "spdz.gal
 KINDS = (JOBS, GALLERY)
 
 
+def is_gallery(path: Path) -> bool:
+    """Whether a file begins as a gallery's tape does; False where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(GALLERY.magic)) == GALLERY.magic
+    except OSError:
+        return False
+
+
 def encode_envelope(kind: Kind, header: Header) -> bytes:
     """The file's first bytes, digest included.
 

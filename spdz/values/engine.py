@@ -39,12 +39,14 @@ class Input:
         owner: The party (0 or 1) whose input it is.
         shape: Its public shape.
         norm: Largest honest L2 norm along the last axis, in raw units.
+        proved: Whether its norm is proved, for which its words must be short enough.
         data: The raw integers at the owner (int64), else None.
     """
 
     owner: int
     shape: Shape
     norm: int
+    proved: bool = False
     data: IntArray | None = dataclass_field(default=None, repr=False)
 
 
@@ -65,7 +67,10 @@ class Engine(ABC):
 
     def input_mask_bits(self, source: Input) -> int:
         """How long the mask of an input is (:mod:`spdz.values.input_mask`)."""
-        return self.slot_bits or input_mask.word_bits(source.shape, source.norm)
+        if self.slot_bits is not None:
+            return self.slot_bits
+        bits = input_mask.word_bits(source.shape, source.norm)
+        return min(bits, input_mask.provable_bits(source.shape[-1])) if source.proved else bits
 
     def read(self, gate: Gate, *operands: Any) -> Any:
         """Read a gate in this engine's way (a coroutine for interactive gates)."""

@@ -47,6 +47,15 @@ def word_bits(shape: Shape, norm: int, rejection: int = JOB_REJECTION) -> int:
     return w if norm > 0 and 0 not in shape and w <= _MOST else LONG
 
 
+def provable_bits(n: int) -> int:
+    """Bits of the longest words with ``n 2^(2 w) <= 2^126``: the square of a vector of n words cannot wrap.
+
+    Then the sum of squares mod p is the square of the norm of the integers, whatever words were sent, and a
+    test of it proves the norm (:mod:`spdz.gates.interval`). The word's length is the range proof.
+    """
+    return (127 - (2 * n - 1).bit_length()) // 2
+
+
 def span(mask_bits: int) -> int:
     """The largest magnitude of a short mask; 0 for a long one, which may be any element."""
     return 0 if mask_bits == LONG else (1 << mask_bits) - 1

@@ -92,11 +92,10 @@ class Value(Secret):
                 f"this program can produce numbers of {bound.entry.bit_length()} bits, which do not fit the "
                 "field of 127 bits: use fewer products, truncate between them, or allow a smaller max_norm"
             )
-        self.engine, self._parts, self.shape = engine, parts, shape
-        self.frac, self.bound = frac, bound
-        self.masked, self.is_bit, self.plain = masked, is_bit, plain
-        self.mask_bits, self.span, self.sign_of = mask_bits, span, sign_of
-        self.standing = standing
+        self.engine, self._parts = engine, parts
+        self.shape, self.frac, self.bound = shape, frac, bound
+        self.masked, self.is_bit, self.mask_bits, self.span = masked, is_bit, mask_bits, span
+        self.plain, self.sign_of, self.standing = plain, sign_of, standing
 
     def __repr__(self) -> str:
         kind = "masked" if self.masked else "shared"

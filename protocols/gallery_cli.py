@@ -1,0 +1,144 @@
+"""``python -m spdz match`` on a gallery's tape: one step, with what is new since the last."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+
+from protocols.catalog import GalleryPurpose, threshold_warning
+from protocols.descriptors import load_descriptors
+from protocols.gallery import Gallery
+from spdz.console.command import say_error
+from spdz.console.progress import progress_bar
+from spdz.foundations.errors import SpdzError, TapeDestroyed, TapeInUse
+from spdz.session import Block, Step
+
+_NAME = "python -m spdz match"
+
+
+def run_gallery(options: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+    gallery = None
+    try:
+        descriptors = load_descriptors(options.descriptors)
+        with progress_bar("comparing", quiet=options.quiet) as progress:
+            done = [0]
+
+            def count(block: Block) -> None:
+                done[0] += block.results.size
+                progress(done[0], done[0])
+
+            gallery = Gallery(
+                options.tape,
+                options.threshold,
+                listen=options.listen,
+                connect=options.connect,
+                credentials=options.credentials,
+                insecure=options.insecure_plain_tcp,
+                wait=options.wait,
+                timeout=options.timeout,
+                state_dir=options.state_dir,
+                on_block=count,
+                on_event=lambda sentence: say(sentence, options.quiet),
+            )
+            purpose = GalleryPurpose.from_json(gallery.header.program)
+            if warning := threshold_warning(purpose, options.threshold):
+                say(f"warning: {warning}")
+            say(f"{gallery.rule}: looking for {gallery.header.peer} for {options.wait:g} s", options.quiet)
+            with closing(gallery):
+                gallery.check(descriptors)
+                gallery.connect()
+                held = 0 if options.append else gallery.holds(descriptors)
+                gallery.add(descriptors[held:])
+                started = time.perf_counter()
+                step = gallery.step()
+                seconds = time.perf_counter() - started
+                earlier = list(gallery.results()) if options.all else step.blocks
+                try:
+                    _print(options, gallery, step, earlier, {"ms": round(seconds * 1e3, 3)})
+                finally:
+                    gallery.finish()
+    except (SpdzError, ValueError, OSError, KeyboardInterrupt) as error:
+        _print_failure(options, gallery, error)
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        unusable = gallery is None and not isinstance(error, (TapeInUse, TapeDestroyed))
+        return 1 if isinstance(error, SpdzError) and not unusable else 2
+    return 0
+
+
+def say(sentence: str, quiet: bool = False) -> None:
+    """Tell the user something that is no result."""
+    if not quiet:
+        print(sentence, file=sys.stderr, flush=True)
+
+
+def _print_failure(options: argparse.Namespace, gallery: Gallery | None, error: BaseException) -> None:
+    """Print what there is, and why there is no more."""
+    kind, message = type(error).__name__, str(error) or "stopped before the end"
+    step = gallery.partial if gallery is not None else None
+    if gallery is not None and step is not None and (step.blocks or options.json):
+        more = {"error": kind, "message": message} if options.json else {}
+        _print(options, gallery, step, step.blocks, more)
+        if options.json:
+            return
+    if not isinstance(error, KeyboardInterrupt) or options.json:
+        text = message if options.json else f"{kind}: {message}"
+        say_error(_NAME, kind, text, as_json=options.json)
+
+
+def _print(
+    options: argparse.Namespace,
+    gallery: Gallery,
+    step: Step,
+    blocks: Sequence[Block],
+    more: dict[str, Any],
+) -> None:
+    """Print results, or what there is of them."""
+    header = gallery.header
+    purpose = GalleryPurpose.from_json(header.program)
+    bits, pairs = purpose.reveal == "bit", sum(block.results.size for block in blocks)
+    found = Step(blocks=list(blocks)).matches if bits else []
+    if options.json:
+        summary = {
+            "robot": header.name,
+            "peer": header.peer,
+            "security": header.security,
+            "score": purpose.score,
+            "threshold": options.threshold,
+            "resolution": purpose.step_text,
+            "new": step.own,
+            "peer_new": step.peer,
+            "decided": pairs,
+            **step.stats.as_dict(),
+            **more,
+        }
+        print(json.dumps(summary | ({"matches": found} if bits else {"scores": _scores(blocks)})))
+        return
+    if bits:
+        for own, peer in found:
+            print(f"match: {header.name} {own}  {header.peer} {peer}")
+        print(f"{len(found)} of {pairs} pairs match ({gallery.rule}, {header.security})")
+    else:
+        for own, peer, score in _scores(blocks):
+            print(f"{header.name} {own}  {header.peer} {peer}: {score:.6g}")
+    spent = f"{more['ms']:.1f} ms, " if "ms" in more else ""
+    new = f"{len(step.own)} new descriptors here, {len(step.peer)} there"
+    print(f"{spent}{step.stats.bytes_sent / 1e6:.3f} MB sent, {step.stats.rounds} rounds; {new}")
+
+
+def _scores(blocks: Sequence[Block]) -> list[tuple[int, int, float]]:
+    """Own slot, the peer's slot and the score of every pair."""
+    return [
+        (block.own.start + int(i), block.peer.start + int(j), float(score))
+        for block in blocks
+        for (i, j), score in np.ndenumerate(block.results)
+        if np.isfinite(score)
+    ]

@@ -1,0 +1,92 @@
+"""New pairs of a gallery: compared strip by strip, and durable before anybody sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from spdz.foundations.stats import Stats
+from spdz.gallery.ledger import Ledger
+from spdz.gallery.strip import Strip, between
+from spdz.gallery.tape import GalleryTape
+from spdz.readings.gallery import Terms, compare
+from spdz.readings.gallery_plan import GalleryPlan
+from spdz.readings.party import Party
+from spdz.readings.streams import RecordStream
+from spdz.rounds.coroutine import Protocol
+from spdz.session.pairs import read_pairs
+from spdz.session.shelf import Shelf
+from spdz.session.strips import Block, Cell, Step, cells, encode_results, oriented, pieces, within
+
+STRIP_PAIRS = 1 << 16
+"""Most pairs of a strip, unless it is one row or column."""
+
+CELL_BYTES = 64 << 20
+"""Most stored bytes of the pairs that are compared at a time."""
+
+MakeParty: TypeAlias = Callable[[RecordStream, Stats], Party]
+Run: TypeAlias = Callable[[Protocol[Any], Stats], Any]
+
+
+@dataclass(slots=True)
+class Comparing:
+    """The side of a gallery session that compares.
+
+    Attributes:
+        tape: The gallery's tape.
+        terms: What it is for.
+        plan: What the meter saw of the terms.
+        ledger: What was compared.
+        shelves: The slots of party 0 and of party 1.
+        again: Strips to run first, which were broken off.
+    """
+
+    tape: GalleryTape
+    terms: Terms
+    plan: GalleryPlan
+    ledger: Ledger
+    shelves: tuple[Shelf, Shelf]
+    again: list[Strip] = field(default_factory=list)
+
+    def new(self, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]) -> None:
+        """Compare all pairs of filled slots that are not done.
+
+        Args:
+            party: Makes this session's party for some records.
+            run: Runs its protocol on the connection.
+            step: Takes the results.
+            on_block: Called with every block as soon as it is checked and durable.
+        """
+        while self.again:
+            self._run_strip(self.again.pop(0), party, run, step, on_block)
+        first, second = self.ledger.slots
+        for strip in between(self.ledger.done, (first.filled, second.filled)):
+            for piece in pieces(strip, self._most_pairs):
+                self._run_strip(piece, party, run, step, on_block)
+
+    @property
+    def _most_pairs(self) -> int:
+        return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, *self.plan.pair.correction_bytes)))
+
+    def _run_strip(
+        self, strip: Strip, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]
+    ) -> None:
+        """Compare a strip, keep its results, then show them."""
+        kept = within(strip, self.ledger.done)  # the peer has missed it
+        if not kept:
+            self.ledger.pin_text(self.plan.text.encode())
+            self.ledger.begin(strip)
+        stats, (first, second) = step.comparing.stats, (set(slots.voids) for slots in self.ledger.slots)
+        parts: list[Cell] = []
+        for rows, columns in cells(strip, (first, second), self._most_pairs):
+            reader = party(read_pairs(self.tape, rows, columns), stats)
+            sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
+            parts.append((rows, columns, run(compare(reader, self.terms, *sides), stats)))
+        if kept:
+            return
+        self.ledger.commit(strip, encode_results(strip, parts, bits=self.plan.bits))
+        for part in parts:
+            block = oriented(self.tape.header.party, part)
+            step.blocks.append(block)
+            on_block(block)
