@@ -19,7 +19,7 @@ from spdz.values.engine import Input
 _FIXED_MEMORY = 32 << 20  # chunks in which keys are made, and buffers
 _PAD_MEMORY = 6.5  # times both pads: expanded, reduced, split into limbs for their products
 _CORRECTION_MEMORY = 3.0  # times both corrections: made, joined, and one copy sealed
-_OPERAND_MEMORY = 180  # bytes an element of what was prepared and is multiplied: limbs in floats
+_OPERAND_MEMORY = 300  # bytes an element of what was prepared and is multiplied: limbs in floats
 _WORD = 8
 
 
