@@ -54,16 +54,17 @@ def dealt_integer_mask(r: FieldArray, bits: int) -> FieldArray:
 
     A uniform mask lets c wrap with probability 2^(bits-127) an entry, which the parties notice. Where masks
     cancel (a value from which itself, or its own truncation, was subtracted; a factor of 0) c can wrap
-    always. To refuse one entry of many would tell something of the other masks, so more than one is the sign.
+    always. To refuse what chance may bring would tell something of the other masks, so the sign of it is that
+    nothing is left of a mask, or that c could wrap at more than one entry, or at the only one.
 
     Raises:
-        ValueError: if c could wrap for some z in range, at more than one entry or at the only one.
+        ValueError: if masks cancel.
     """
     rho = integer_mask(r, bits)
     # p - rho is the complement of 127 bits.
     room = rho ^ np.array([(1 << 64) - 1, (1 << 63) - 1], dtype=np.uint64)
     wraps = _below(room, bits)
-    if np.count_nonzero(wraps) > (wraps.size > 1):
+    if np.count_nonzero(wraps) > (wraps.size > 1) or not r.any(axis=-1).all():
         raise ValueError(
             "a comparison or truncation is asked for where masks cancel (something was subtracted from "
             "itself or multiplied by 0): mask the value anew, `await spdz.mask(z, fresh=True)`"
