@@ -225,6 +225,8 @@ class GallerySession(Lifecycle):
             self._run_cell(rows, columns, step.stats)
             for rows, columns in cells(strip, (first, second), self._most_pairs)
         ]
+        if not parts:  # no side may be further ahead than a strip that both have begun
+            self._agreement.control({"void": str(strip)}, "void")
         if kept:
             return
         self._ledger.commit(strip, encode_results(strip, parts, bits=self._plan.bits))
