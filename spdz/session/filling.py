@@ -161,6 +161,7 @@ class Filling:
         well_formed = (
             type(count) is int
             and type(answer["more"]) is bool
+            and bool(count or not answer["more"])  # whoever has more to bring brings some
             and 0 <= count <= min(MOST, capacity - filled)
             and isinstance(void, list)
             and all(type(one) is int and 0 <= one < count for one in void)

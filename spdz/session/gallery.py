@@ -167,7 +167,7 @@ class GallerySession(Lifecycle):
                     self._begin()
                     self._prepare(stats)
                 with step.comparing.timed():
-                    self._comparing.new(self._party, self._run, step, on_block)
+                    self._comparing.new(self, step, on_block)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -200,7 +200,7 @@ class GallerySession(Lifecycle):
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
             lanes = [shelf.prepare(party, slots) for (shelf, slots), party in zip(work, parties, strict=True)]
-            proved = self._run(parallel(*lanes), stats)
+            proved = self.run(parallel(*lanes), stats)
             for (shelf, slots), proofs in zip(work, proved, strict=True):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
@@ -220,12 +220,18 @@ class GallerySession(Lifecycle):
                 f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
             )
 
-    def _party(self, stream: RecordStream, stats: Stats) -> Party:
+    def reader(self, stream: RecordStream, stats: Stats) -> Party:
+        """A party of this session that draws on some records."""
         check, security = self._agreement.mac_check, self._terms.security
         return configured(Party(self.party, security, stream, check, self._alpha, stats), self._terms)
 
-    def _run(self, protocol: Any, stats: Stats) -> Any:
+    def run(self, protocol: Any, stats: Stats) -> Any:
+        """Run a protocol on the connection."""
         return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+
+    def keep_step(self, strip: Strip) -> None:
+        """Wait for the peer at a strip of which nothing is compared."""
+        self._agreement.control({"void": str(strip)}, "void")
 
     # -- meeting again -------------------------------------------------------------------------------
 

@@ -195,9 +195,8 @@ def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[S
             f"{peer.done[0]} x {peer.done[1]}: one of the galleries was restored from an old copy. "
             "Deal new tapes"
         )
-    again, burn = _told(
-        repeatable and behind.flight is not None, strips
-    )  # given up: it stays without results
+    given_up = behind.flight is None  # then it stays without results there
+    again, burn = _told(repeatable and not given_up, strips)
     next_again, next_burn = _told(repeatable, [] if ahead.flight is None else [ahead.flight])
     return again + next_again, burn + next_burn
 
