@@ -24,6 +24,7 @@ from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
+from spdz.gallery.strip import Strip
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -167,7 +168,7 @@ class GallerySession(Lifecycle):
                     self._begin()
                     self._prepare(stats)
                 with step.comparing.timed():
-                    self._comparing.new(self._party, self._run, step, on_block)
+                    self._comparing.new(self, step, on_block)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -196,10 +197,11 @@ class GallerySession(Lifecycle):
     def _prepare(self, stats: Stats) -> None:
         """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
+            self._ledger.pin_text(self._plan.text.encode())  # what is opened may depend on it
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
             lanes = [shelf.prepare(party, slots) for (shelf, slots), party in zip(work, parties, strict=True)]
-            proved = self._run(parallel(*lanes), stats)
+            proved = self.run(parallel(*lanes), stats)
             for (shelf, slots), proofs in zip(work, proved, strict=True):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
@@ -219,12 +221,18 @@ class GallerySession(Lifecycle):
                 f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
             )
 
-    def _party(self, stream: RecordStream, stats: Stats) -> Party:
+    def reader(self, stream: RecordStream, stats: Stats) -> Party:
+        """A party of this session that draws on some records."""
         check, security = self._agreement.mac_check, self._terms.security
         return configured(Party(self.party, security, stream, check, self._alpha, stats), self._terms)
 
-    def _run(self, protocol: Any, stats: Stats, ready: Callable[[], None] = lambda: None) -> Any:
+    def run(self, protocol: Any, stats: Stats, ready: Callable[[], None] = lambda: None) -> Any:
+        """Run a protocol on the connection; ``ready`` returns when the first frame may be sent."""
         return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats, ready)
+
+    def keep_step(self, strip: Strip) -> None:
+        """Wait for the peer at a strip of which nothing is compared."""
+        self._agreement.control({"void": str(strip)}, "void")
 
     # -- meeting again -------------------------------------------------------------------------------
 

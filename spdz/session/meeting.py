@@ -14,12 +14,13 @@ from typing import Any
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.types import Json
 from spdz.gallery.ledger import Ledger
+from spdz.gallery.runs import are_runs, runs_of, slots_in
 from spdz.gallery.strip import Rectangle, Strip, between, grown
 from spdz.readings.gallery_plan import GalleryPlan
-from spdz.session.strips import within
+from spdz.session.strips import STRIP_PAIRS, within
 
 MOST = 4096
-"""Slots by which the two sides may differ, and void slots that one may tell: it bounds what a lie costs."""
+"""Slots by which the two sides may differ, and slots that one may make void: it bounds what a lie costs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ class Standpoint:
         return {
             "filled": list(self.filled),
             "ready": list(self.ready),
-            "void": [list(self.void[0]), list(self.void[1])],
+            "void": [[list(run) for run in runs_of(slots)] for slots in self.void],
             "done": list(self.done),
             "flight": None
             if flight is None
@@ -74,7 +75,8 @@ class Standpoint:
         """
         try:
             filled, prepared, done = (_pair(fields[name], capacity) for name in ("filled", "ready", "done"))
-            void = (_slots(fields["void"][0], filled[0]), _slots(fields["void"][1], filled[1]))
+            first, second = fields["void"]
+            void = (_slots(first, filled[0]), _slots(second, filled[1]))
             flight = fields["flight"]
             strip, used = None, done
             if flight is not None:
@@ -100,10 +102,10 @@ def _whole(number: Any, most: int) -> int:
 
 
 def _slots(value: Any, filled: int) -> list[int]:
-    slots = [_whole(number, filled) for number in value]
-    if len(slots) > MOST or sorted(set(slots)) != slots:
-        raise ValueError("void slots are told once each, in order, and not too many")
-    return slots
+    runs = tuple((_whole(start, filled), _whole(stop, filled)) for start, stop in value)
+    if not are_runs(runs, filled):
+        raise ValueError("void slots are told as runs, in order")
+    return slots_in(runs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +143,9 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
         TapeMismatch: if they differ by more than one step of an honest run.
     """
     for owner in (0, 1):
-        if abs(own.filled[owner] - peer.filled[owner]) > MOST:
+        unready = peer.filled[owner] - peer.ready[owner]
+        told = len(set(peer.void[owner]) - set(own.void[owner]))
+        if max(abs(own.filled[owner] - peer.filled[owner]), unready, told) > MOST:
             raise TapeMismatch(
                 f"this side knows {own.filled[owner]} slots of party {owner} as filled and the peer "
                 f"{peer.filled[owner]}: one of the galleries was restored from an old copy. Deal new tapes"
@@ -158,6 +162,8 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
     again, burn = _strips(own, peer, plan.pair.openings <= 1)
     for strip in (*again, *burn):
         rows, columns = (min(own.filled[i], peer.filled[i]) for i in (0, 1))
+        if strip.pairs > STRIP_PAIRS and 1 not in (len(strip.rows), len(strip.columns)):
+            raise TapeMismatch(f"{strip} are more than any step compares at a time: deal new tapes")
         if not within(strip, (rows, columns)):
             raise TapeMismatch(
                 f"{strip} were begun, and one side knows {rows} x {columns} slots only: its gallery was "
@@ -189,9 +195,8 @@ def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[S
             f"{peer.done[0]} x {peer.done[1]}: one of the galleries was restored from an old copy. "
             "Deal new tapes"
         )
-    again, burn = _told(
-        repeatable and behind.flight is not None, strips
-    )  # given up: it stays without results
+    given_up = behind.flight is None  # then it stays without results there
+    again, burn = _told(repeatable and not given_up, strips)
     next_again, next_burn = _told(repeatable, [] if ahead.flight is None else [ahead.flight])
     return again + next_again, burn + next_burn
 

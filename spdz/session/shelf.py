@@ -64,10 +64,12 @@ class Shelf:
         self._eps[list(slots)] = words
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The raw vectors in own slots whose masks were read."""
-        if self._s is None:
+        """The raw vectors in own slots that hold something."""
+        if not self._own:
             raise ValueError("only the owner knows what a slot holds")
-        return np.asarray(self._eps[list(slots)] - self._s[list(slots)])
+        if not slots:
+            return np.empty((0, self._terms.dim), dtype=np.int64)
+        return np.asarray(self._eps[list(slots)] - self.masks(slots))
 
     def party(
         self, slots: Sequence[int], mac_check: MacCheck | None, alpha: int | None, stats: Stats
