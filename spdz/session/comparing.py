@@ -99,9 +99,7 @@ class Comparing:
         try:
             with Meanwhile(partial(self._begin, strip, kept)) as begun:
                 for rows, columns in cells(strip, (first, second), self._most_pairs):
-                    reader = connection.reader(read_pairs(self.tape, rows, columns), stats)
-                    sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
-                    results = connection.run(compare(reader, self.terms, *sides), stats, begun.wait)
+                    results = self._run_cell(rows, columns, connection, stats, begun.wait)
                     parts.append((rows, columns, results))
         except Wrapped:  # it would be so again
             if not kept:
@@ -121,3 +119,10 @@ class Comparing:
         if not kept:
             self.ledger.pin_text(self.plan.text.encode())
             self.ledger.begin(strip)
+
+    def _run_cell(
+        self, rows: range, columns: range, connection: Connection, stats: Stats, ready: Callable[[], None]
+    ) -> Any:
+        party = connection.reader(read_pairs(self.tape, rows, columns), stats)
+        sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
+        return connection.run(compare(party, self.terms, *sides), stats, ready)
