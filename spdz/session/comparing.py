@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 from typing import Protocol as Interface
 
@@ -18,7 +17,6 @@ from spdz.readings.gallery_plan import GalleryPlan
 from spdz.readings.party import Party
 from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import Protocol
-from spdz.session.meanwhile import Meanwhile
 from spdz.session.pairs import read_pairs
 from spdz.session.shelf import Shelf
 from spdz.session.strips import (
@@ -43,8 +41,8 @@ class Connection(Interface):
     def reader(self, stream: RecordStream, stats: Stats) -> Party:
         """A party that draws on some records."""
 
-    def run(self, protocol: Protocol[Any], stats: Stats, ready: Callable[[], None]) -> Any:
-        """Run a protocol on the connection; ``ready`` returns when the first frame may be sent."""
+    def run(self, protocol: Protocol[Any], stats: Stats) -> Any:
+        """Run a protocol on the connection."""
 
     def keep_step(self, strip: Strip) -> None:
         """Wait for the peer at a strip of which nothing is compared."""
@@ -92,15 +90,16 @@ class Comparing:
     def _run_strip(
         self, strip: Strip, connection: Connection, step: Step, on_block: Callable[[Block], None]
     ) -> None:
-        """Compare a strip, keep its results, then show them; it has begun before anything is sent."""
+        """Compare a strip, keep its results, then show them."""
         kept = within(strip, self.ledger.done)  # the peer has missed it
+        if not kept:
+            self.ledger.pin_text(self.plan.text.encode())
+            self.ledger.begin(strip)
         stats, (first, second) = step.comparing.stats, (set(slots.voids) for slots in self.ledger.slots)
         parts: list[Cell] = []
         try:
-            with Meanwhile(partial(self._begin, strip, kept)) as begun:
-                for rows, columns in cells(strip, (first, second), self._most_pairs):
-                    results = self._run_cell(rows, columns, connection, stats, begun.wait)
-                    parts.append((rows, columns, results))
+            for rows, columns in cells(strip, (first, second), self._most_pairs):
+                parts.append((rows, columns, self._run_cell(rows, columns, connection, stats)))
         except Wrapped:  # it would be so again
             if not kept:
                 self.ledger.burn(strip)
@@ -115,14 +114,7 @@ class Comparing:
             step.blocks.append(block)
             on_block(block)
 
-    def _begin(self, strip: Strip, kept: bool) -> None:
-        if not kept:
-            self.ledger.pin_text(self.plan.text.encode())
-            self.ledger.begin(strip)
-
-    def _run_cell(
-        self, rows: range, columns: range, connection: Connection, stats: Stats, ready: Callable[[], None]
-    ) -> Any:
+    def _run_cell(self, rows: range, columns: range, connection: Connection, stats: Stats) -> Any:
         party = connection.reader(read_pairs(self.tape, rows, columns), stats)
         sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
-        return connection.run(compare(party, self.terms, *sides), stats, ready)
+        return connection.run(compare(party, self.terms, *sides), stats)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from typing import Any
 
 from spdz.channels import Channel, FrameKind
@@ -10,19 +10,13 @@ from spdz.foundations.stats import Stats
 from spdz.rounds.coroutine import Exchange
 
 
-def run_channel(
-    frames: Generator[Exchange, memoryview, Any],
-    channel: Channel,
-    stats: Stats,
-    ready: Callable[[], None] = lambda: None,
-) -> Any:
+def run_channel(frames: Generator[Exchange, memoryview, Any], channel: Channel, stats: Stats) -> Any:
     """Carry every frame over the channel until the protocol returns; returns its result.
 
     Args:
         frames: A protocol under :func:`spdz.rounds.mac_check.drive`.
         channel: A connected channel.
         stats: Counts rounds, bytes and elements.
-        ready: Called before a frame is sent, and may wait.
 
     Raises:
         SpdzError: whatever the protocol or the channel raises.
@@ -31,7 +25,6 @@ def run_channel(
     try:
         request = next(frames)
         while True:
-            ready()
             stats.rounds += 1
             stats.field_elements_sent += request.elements
             kind = FrameKind.CHECK if request.is_check else FrameKind.DATA

@@ -226,9 +226,9 @@ class GallerySession(Lifecycle):
         check, security = self._agreement.mac_check, self._terms.security
         return configured(Party(self.party, security, stream, check, self._alpha, stats), self._terms)
 
-    def run(self, protocol: Any, stats: Stats, ready: Callable[[], None] = lambda: None) -> Any:
-        """Run a protocol on the connection; ``ready`` returns when the first frame may be sent."""
-        return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats, ready)
+    def run(self, protocol: Any, stats: Stats) -> Any:
+        """Run a protocol on the connection."""
+        return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
 
     def keep_step(self, strip: Strip) -> None:
         """Wait for the peer at a strip of which nothing is compared."""
