@@ -57,7 +57,10 @@ def test_one_side_may_be_a_strip_behind_while_the_other_has_begun_the_next():
         (side((4, 5), done=(4, 5)), side((4, 5), done=(2, 3), flight=strip(2, 4, 0, 3))),  # two strips apart
         (side((4, 5), done=(4, 3)), side((4, 5), done=(2, 3), flight=strip(0, 2, 3, 5))),  # another strip
         (side((4, 5), done=(4, 3)), side((4, 5), done=(2, 5))),
-        (side((4, 5), done=(2, 3), flight=strip(2, 4, 0, 3)), side((4, 5), done=(2, 3), flight=strip(2, 3, 0, 3))),
+        (
+            side((4, 5), done=(2, 3), flight=strip(2, 4, 0, 3)),
+            side((4, 5), done=(2, 3), flight=strip(2, 3, 0, 3)),
+        ),
     ],
 )
 def test_sides_further_apart_are_refused(one, other):
@@ -72,7 +75,7 @@ def test_a_strip_of_slots_that_one_side_does_not_know_is_refused(peer, repeatabl
     """A liar would have slots that are filled later compared, or burnt, against the rule."""
     for own in (side((0, 0)), side((8, 0)), side((7, 8)), side((8, 7))):
         for party in (0, 1):
-            with pytest.raises(TapeMismatch, match="begun|compared"):
+            with pytest.raises(TapeMismatch, match=r"begun|compared"):
                 meet(own, side((8, 8), **peer), party, plan(1 if repeatable else 2))
     assert meet(side((8, 8)), side((8, 8), **peer), 0, plan())
 
@@ -81,7 +84,12 @@ def test_a_strip_of_slots_that_one_side_does_not_know_is_refused(peer, repeatabl
 def test_a_strip_larger_than_any_step_makes_is_refused(repeatable):
     """It would need memory for all of it at once, or burn more than a strip."""
     program, rows = plan(1 if repeatable else 2), STRIP_PAIRS // 256
-    for shape, fits in (((rows, 256), True), ((rows + 1, 256), False), ((1, 60_000), True), ((60_000, 1), True)):
+    for shape, fits in (
+        ((rows, 256), True),
+        ((rows + 1, 256), False),
+        ((1, 60_000), True),
+        ((60_000, 1), True),
+    ):
         flight = side(BIG, flight=strip(0, shape[0], 0, shape[1]))
         if fits:
             found = meet(side(BIG), flight, 0, program)

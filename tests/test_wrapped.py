@@ -17,9 +17,9 @@ from protocols import batching
 from spdz import ChannelError, Wrapped, dot, nonnegative, run_local, truncate
 from spdz.arithmetic import field
 from spdz.arithmetic.field import P
+from spdz.gallery.ledger import Ledger
 from spdz.gates import masking
 from spdz.gates.masking import dealt_integer_mask, integer_mask
-from spdz.gallery.ledger import Ledger
 from spdz.readings.gallery import Terms
 from spdz.tape import Tape
 
