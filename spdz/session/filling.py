@@ -165,7 +165,6 @@ class Filling:
             and 0 <= count <= min(MOST, capacity - filled)
             and isinstance(void, list)
             and all(type(one) is int and 0 <= one < count for one in void)
-            and (count > 0 or not answer["more"])
             and self._size * (count - len(set(void))) <= MAX_FRAME
         )
         if not well_formed:
