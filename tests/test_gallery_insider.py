@@ -227,7 +227,7 @@ def test_lies_in_control_messages_end_in_an_error_or_in_the_truth(galleries, evi
     )
     assert names
     for name in names:
-        for junk in JUNK:
+        for junk in JUNK[(len(name) + evil) % 2 :: 2]:
 
             def control(number, message, name=name, junk=junk):
                 if number == exchange:

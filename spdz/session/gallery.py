@@ -117,7 +117,13 @@ class GallerySession(Lifecycle):
             yield oriented(self.party, (strip.rows, strip.columns, results))
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw."""
+        """The quantised descriptors in own slots, raw.
+
+        Raises:
+            ValueError: if a slot holds none.
+        """
+        if not set(slots) <= set(self.filled):
+            raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
         return self._shelves[self.party].plain(slots)
 
     @property
