@@ -8,7 +8,18 @@ import shutil
 
 import numpy as np
 import pytest
-from gallery_session_helpers import Cosine, Near, Product, Twice, cables, feed, no_errors, table, unit_vectors
+from gallery_session_helpers import (
+    Cosine,
+    Near,
+    Product,
+    Twice,
+    burn_some,
+    cables,
+    feed,
+    no_errors,
+    table,
+    unit_vectors,
+)
 
 from spdz.foundations.errors import SpdzError, TapeMismatch
 from spdz.gallery.journal import Journal
@@ -169,6 +180,7 @@ def test_it_breaks_again_and_again(galleries, monkeypatch, name):
     monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
     monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
+    burn_some(monkeypatch, random.Random(1))
     for seed in range(12 if EVERY else 3):
         rng = random.Random(seed)
         watch.forget()
@@ -196,6 +208,30 @@ def test_what_is_in_is_known_before_the_first_step(galleries):
 
     for found, right in zip(no_errors(mission.meet(look)), vectors, strict=True):
         assert np.array_equal(found, np.rint(right * 65536))
+
+
+def test_breaks_never_add_up_to_more_than_the_two_may_differ_by(galleries, monkeypatch):
+    """Every break comes after this side has filled all that it may, and before the peer has a word of it."""
+    monkeypatch.setattr("spdz.session.filling.MOST", 4)
+    monkeypatch.setattr("spdz.session.meeting.MOST", 4)
+    terms, vectors = Terms(Product(), DIM), [np.concatenate([v, -v]) for v in data()]
+    mission, rest = galleries(terms, SLOTS), [list(v) for v in vectors]
+
+    def bring(session):
+        held = len(session.filled)
+        session.add(vectors[session.party][held:])
+        return session.step()
+
+    for number in (3, 3, 3, 2, 3):
+        ends = cables()
+        ends[0].cut = (number, "unsent")
+        mission.meet(bring, channels=ends)
+    no_errors(mission.meet(bring))
+    found = no_errors(mission.meet(lambda session: (table(session, session.results()), session.filled)))
+    (first, rows), (second, columns) = found
+    assert (len(rows), len(columns)) == (len(rest[0]), len(rest[1]))
+    assert (first[np.ix_(rows, columns)] == truth(terms, vectors)).all()
+    assert (second[np.ix_(columns, rows)] == truth(terms, vectors).T).all()
 
 
 class Stop(BaseException):

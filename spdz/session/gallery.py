@@ -55,7 +55,7 @@ STRIP_PAIRS = 1 << 16
 """Most pairs of a strip, unless it is one row or column."""
 
 _CELL_BYTES = 64 << 20
-"""Most stored bytes of the pairs that are compared at a time."""
+"""Most stored bytes of the pairs that are compared at a time, at the side that stores more."""
 
 _PREPARED = 128
 """Slots prepared at a time."""
@@ -243,7 +243,8 @@ class GallerySession(Lifecycle):
 
     @property
     def _most_pairs(self) -> int:
-        return max(1, min(STRIP_PAIRS, _CELL_BYTES // max(1, self._tape.header.pair_correction)))
+        stored = max(self._plan.pair.correction_bytes)  # both sides must cut alike
+        return max(1, min(STRIP_PAIRS, _CELL_BYTES // max(1, stored)))
 
     def _run_cell(self, rows: range, columns: range, stats: Stats) -> Cell:
         stream = read_pairs(self._tape, rows, columns)
