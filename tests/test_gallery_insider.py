@@ -276,6 +276,13 @@ def test_who_always_has_more_to_bring_and_brings_nothing_is_refused(galleries, e
 
 
 @pytest.mark.parametrize("evil", [0, 1])
+def test_slots_that_do_not_follow_are_refused_before_their_words_are_taken(galleries, evil):
+    lies = Lies(control=lambda number, message: message | ({"from": 1} if number == OFFER else {}))
+    found = run(galleries, evil, lies, timeout=1.0)
+    assert (found.error, len(found.frames)) == ("OutOfStep", WORDS)
+
+
+@pytest.mark.parametrize("evil", [0, 1])
 def test_prepared_values_are_under_the_check_too(galleries, evil):
     terms = Terms(Near(), 4)
     for index in range(12):
