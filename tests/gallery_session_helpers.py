@@ -307,3 +307,8 @@ def burn_some(monkeypatch, rng):
         return good
 
     monkeypatch.setattr("spdz.session.filling.inside", inside)
+
+
+def prepare_at_a_time(monkeypatch, slots):
+    for where in ("gallery", "meeting"):
+        monkeypatch.setattr(f"spdz.session.{where}.PREPARED", slots)

@@ -17,6 +17,7 @@ from gallery_session_helpers import (
     cables,
     feed,
     no_errors,
+    prepare_at_a_time,
     table,
     unit_vectors,
 )
@@ -144,7 +145,7 @@ PROGRAMS = {"product": Product(), "near": Near(), "cosine": Cosine(), "twice": T
 def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, security):
     """Every frame that one side does not get, or sends half of; then both are back, and bring the rest."""
     monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    prepare_at_a_time(monkeypatch, 2)
     terms = Terms(PROGRAMS[name], DIM, security)
     several_rounds = name in ("cosine", "twice")
     vectors, watch = data(), Watch(monkeypatch)
@@ -178,7 +179,7 @@ def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, securi
 def test_it_breaks_again_and_again(galleries, monkeypatch, name):
     """Breaks of breaks: every meeting is cut at a random frame, until one is not."""
     monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    prepare_at_a_time(monkeypatch, 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
     burn_some(monkeypatch, random.Random(1))
     for seed in range(12 if EVERY else 3):
@@ -242,7 +243,7 @@ class Stop(BaseException):
 def test_a_process_that_stops_at_any_durable_step_goes_on(galleries, monkeypatch, name):
     """Before and after each thing that the ledger is told."""
     monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    prepare_at_a_time(monkeypatch, 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
     step, count, stop = Journal.step, [0, 0], [None, None, None]
 

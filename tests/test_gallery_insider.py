@@ -283,6 +283,16 @@ def test_slots_that_do_not_follow_are_refused_before_their_words_are_taken(galle
 
 
 @pytest.mark.parametrize("evil", [0, 1])
+def test_more_slots_than_the_gallery_has_are_refused_before_their_words_are_taken(galleries, evil):
+    for slots in (SLOTS[evil] + 1, 4096):
+        lies = Lies(
+            control=lambda number, message, n=slots: message | ({"slots": n} if number == OFFER else {})
+        )
+        found = run(galleries, evil, lies, timeout=1.0)
+        assert (found.error, len(found.frames)) == ("ProtocolViolation", WORDS)
+
+
+@pytest.mark.parametrize("evil", [0, 1])
 def test_prepared_values_are_under_the_check_too(galleries, evil):
     terms = Terms(Near(), 4)
     for index in range(12):

@@ -90,6 +90,23 @@ def test_slots_that_either_has_lost_are_void_on_both_sides():
     assert first.void[0] == [1, 3, 7, 8] and second.void[0] == [1, 3, 7, 8, 9, 10]
 
 
+def test_slots_that_no_side_has_begun_with_are_not_lost():
+    """Preparing goes by 128 slots; what comes after those that may be half prepared waits as it is."""
+    one = Standpoint((1000, 0), (300, 0), ([301, 1], []), (0, 0), None)
+    for other in (one, replace(one, ready=(428, 0))):
+        for agreed in both(one, other, SEVERAL):
+            end = 300 + 128 + 1 if other is one else 428 + 128
+            assert agreed.void[0] == [1, *range(300, end)]
+
+
+def test_many_void_slots_can_be_told():
+    slots = list(range(20000)) + list(range(20001, 40000, 2))
+    standpoint = Standpoint((50000, 50000), (0, 0), (slots[:20000], slots[:24000]), (0, 0), None)
+    assert Standpoint.read(standpoint.as_json(), CAPACITY) == standpoint
+    with pytest.raises(ProtocolViolation):
+        Standpoint.read(replace(standpoint, void=(slots, [])).as_json(), CAPACITY)
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_accounts_travel(case):
     for standpoint in CASES[case][:2]:
@@ -114,12 +131,12 @@ BAD = [
     {"flight": [0, 1]},
     {"flight": 3},
     {"flight": [0, 1, 0, 1 << 40]},
-    {"void": [[3, 2], []]},
-    {"void": [[2, 2], []]},
-    {"void": [[10], []]},
-    {"void": [[], [-1]]},
+    {"void": [[[3, 2]], []]},
+    {"void": [[[2, 2]], []]},
+    {"void": [[[9, 10]], []]},
+    {"void": [[], [[-1, 1]]]},
     {"void": []},
-    {"void": [list(range(9)), "x"]},
+    {"void": [[[1, 2], [2, 3]], []]},
     {"void": {}},
 ]
 
@@ -145,9 +162,9 @@ LIES = [
     {"filled": [3, 3], "flight": [2, 3, 0, 2]},
     {"filled": [3, 3], "done": [3, 2]},
     {"filled": [3, 3], "done": [3, 3]},
-    {"void": [[0], []]},
-    {"void": [[], [0, 1]]},
-    {"void": [[0, 1], [0, 1]]},
+    {"void": [[[0, 1]], []]},
+    {"void": [[], [[0, 2]]]},
+    {"void": [[[0, 2]], [[0, 2]]]},
     {"text": "0"},
     {"done": [2, 1], "flight": [0, 2, 1, 2]},
 ]

@@ -20,6 +20,7 @@ from gallery_session_helpers import (
     expected,
     feed,
     no_errors,
+    prepare_at_a_time,
     table,
     unit_vectors,
 )
@@ -52,7 +53,7 @@ def test_random_galleries(galleries, monkeypatch, seed):
     counts = rng.choice([(1, 1), (1, 30), (40, 1), (rng.randint(1, 40), rng.randint(1, 60))])
     monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", rng.choice([1, 7, 50, 1 << 16]))
     monkeypatch.setattr("spdz.session.gallery._CELL_BYTES", rng.choice([3000, 64 << 20]))
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", rng.choice([3, 128]))
+    prepare_at_a_time(monkeypatch, rng.choice([3, 128]))
     monkeypatch.setattr("spdz.session.filling.MOST", rng.choice([4, 4096]))
     voids = rng.random() < 0.5
     if voids:

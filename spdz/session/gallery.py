@@ -36,7 +36,7 @@ from spdz.session.agreement import Agreement
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
 from spdz.session.lifecycle import Lifecycle
-from spdz.session.meeting import Standpoint, meet
+from spdz.session.meeting import PREPARED, Standpoint, meet
 from spdz.session.pairs import read_pairs
 from spdz.session.shelf import Shelf, configured
 from spdz.session.strips import (
@@ -56,9 +56,6 @@ STRIP_PAIRS = 1 << 16
 
 _CELL_BYTES = 64 << 20
 """Most stored bytes of the pairs that are compared at a time, at the side that stores more."""
-
-_PREPARED = 128
-"""Slots prepared at a time."""
 
 
 class GallerySession(Lifecycle):
@@ -202,7 +199,7 @@ class GallerySession(Lifecycle):
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -288,8 +285,8 @@ class GallerySession(Lifecycle):
         """Read what earlier sessions have filled."""
         for shelf in self._shelves:
             slots = self._ledger.slots[shelf.owner]
-            for start in range(0, slots.filled, _PREPARED):
-                entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
+            for start in range(0, slots.filled, PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
                 ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
                 known = [slot for slot, words in entries if words is not None and slot < ready]

@@ -14,12 +14,17 @@ from typing import Any
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.types import Json
 from spdz.gallery.ledger import Ledger
+from spdz.gallery.runs import are_runs, runs_of, slots_in
 from spdz.gallery.strip import Rectangle, Strip, between, grown
 from spdz.readings.gallery_plan import GalleryPlan
 from spdz.session.strips import within
 
 MOST = 4096
-"""Slots by which the two sides may differ, and void slots that one may tell: it bounds what a lie costs."""
+"""Slots by which the two sides may differ, and runs of void slots that one may tell: it bounds what a lie
+costs."""
+
+PREPARED = 128
+"""Slots of a party that are prepared at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,7 @@ class Standpoint:
         return {
             "filled": list(self.filled),
             "ready": list(self.ready),
-            "void": [list(self.void[0]), list(self.void[1])],
+            "void": [[list(run) for run in runs_of(slots)] for slots in self.void],
             "done": list(self.done),
             "flight": None
             if flight is None
@@ -100,10 +105,10 @@ def _whole(number: Any, most: int) -> int:
 
 
 def _slots(value: Any, filled: int) -> list[int]:
-    slots = [_whole(number, filled) for number in value]
-    if len(slots) > MOST or sorted(set(slots)) != slots:
-        raise ValueError("void slots are told once each, in order, and not too many")
-    return slots
+    runs = tuple((_whole(start, filled), _whole(stop, filled)) for start, stop in value)
+    if len(runs) > MOST or not are_runs(runs, filled):
+        raise ValueError("void slots are told as runs, in order, and not too many")
+    return slots_in(runs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,8 +157,8 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
     void = [set(own.void[owner]) | set(peer.void[owner]) for owner in (0, 1)]
     void[1 - party] |= set(forgotten)
     for i in (0, 1):
-        if plan.slots[i].openings > 1:  # half prepared
-            void[i] |= set(range(min(own.ready[i], peer.ready[i]), min(own.filled[i], peer.filled[i])))
+        if plan.slots[i].openings > 1:
+            void[i] |= _half_prepared(own, peer, i, void[i])
     first, second = (sorted(slot for slot in void[i] if slot < own.filled[i]) for i in (0, 1))
     again, burn = _strips(own, peer, plan.pair.openings <= 1)
     for strip in (*again, *burn):
@@ -165,6 +170,14 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
             )
     ready = (min(own.ready[0], peer.ready[0]), min(own.ready[1], peer.ready[1]))
     return Agreed((first, second), max(0, missing), peer.filled[party], ready, again, burn)
+
+
+def _half_prepared(own: Standpoint, peer: Standpoint, owner: int, void: set[int]) -> set[int]:
+    """Slots that one side alone has prepared, and those that either may have begun with."""
+    ready, ahead = sorted((own.ready[owner], peer.ready[owner]))
+    both = min(own.filled[owner], peer.filled[owner])
+    begun = [slot for slot in range(ahead, both) if slot not in void][:PREPARED]
+    return {*range(ready, min(ahead, both)), *begun}
 
 
 def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[Strip], list[Strip]]:
