@@ -38,7 +38,7 @@ from spdz.session.comparing import Comparing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
 from spdz.session.lifecycle import Lifecycle
-from spdz.session.meeting import Standpoint, meet
+from spdz.session.meeting import PREPARED, Standpoint, meet
 from spdz.session.shelf import Shelf, configured
 from spdz.session.strips import (
     Block,
@@ -47,9 +47,6 @@ from spdz.session.strips import (
     oriented,
     within,
 )
-
-_PREPARED = 128
-"""Slots prepared at a time."""
 
 
 class GallerySession(Lifecycle):
@@ -122,7 +119,13 @@ class GallerySession(Lifecycle):
             yield oriented(self.party, (strip.rows, strip.columns, results))
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw."""
+        """The quantised descriptors in own slots, raw.
+
+        Raises:
+            ValueError: if a slot holds none.
+        """
+        if not set(slots) <= set(self.filled):
+            raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
         return self._shelves[self.party].plain(slots)
 
     @property
@@ -211,7 +214,7 @@ class GallerySession(Lifecycle):
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -268,8 +271,8 @@ class GallerySession(Lifecycle):
         """Read what earlier sessions have filled."""
         for shelf in self._shelves:
             slots = self._ledger.slots[shelf.owner]
-            for start in range(0, slots.filled, _PREPARED):
-                entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
+            for start in range(0, slots.filled, PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
                 ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
                 known = [slot for slot, words in entries if words is not None and slot < ready]
