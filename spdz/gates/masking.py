@@ -33,7 +33,7 @@ FULL = 127
 """Bits of a fresh mask."""
 
 SECURITY_BITS = 40
-"""The statistical distance and the chance of a wrapped opening stay below 2^-40."""
+"""The chance of a wrapped opening stays below 2^-40."""
 
 
 def signed_bits(bound: int) -> int:
@@ -119,8 +119,8 @@ def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
             return Value(z.engine, parts, z.shape, z.frac, z.bound, masked=True), bits
     if bits + SECURITY_BITS >= z.mask_bits or z.span:
         raise ValueError(
-            f"a comparison or truncation over {bits} bits would leave less than 2^-{SECURITY_BITS} "
-            f"statistical security under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
+            f"a comparison or truncation over {bits} bits would wrap more often than once in "
+            f"2^{SECURITY_BITS} times under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
             "mask the value anew"
         )
     if isinstance(z.engine, Evaluation):
