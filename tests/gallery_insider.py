@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 from gallery_session_helpers import cables, unit_vectors
-from insider import Ledger, elements, frame_of
+from insider import Ledger
+from insider_frames import elements, frame_of
 
 from spdz.arithmetic.field import P
 from spdz.channels import FrameKind
@@ -72,7 +73,7 @@ class Liar(GallerySession):
     def _refuse_unproved(self, owner, slots, proofs):
         """It does not refuse itself."""
 
-    def _run(self, protocol, stats):
+    def run(self, protocol, stats):
         check, reply = self._agreement.mac_check, None
         try:
             while True:

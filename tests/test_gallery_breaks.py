@@ -15,8 +15,8 @@ from spdz.gallery.journal import Journal
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
 from spdz.session.agreement import Agreement
+from spdz.session.comparing import Comparing
 from spdz.session.filling import Filling
-from spdz.session.gallery import GallerySession
 
 pytestmark = pytest.mark.usefixtures("no_sync")
 
@@ -34,7 +34,7 @@ class Watch:
     def __init__(self, monkeypatch):
         self.words, self.shares, self.cell = {}, {}, {}
         self.repeated = 0
-        exchange, run_cell, opening = Filling.exchange, GallerySession._run_cell, Party.open
+        exchange, run_cell, opening = Filling.exchange, Comparing._run_cell, Party.open
 
         def watched_exchange(filling, agreement, step):
             first = filling.sent
@@ -44,12 +44,12 @@ class Watch:
                 self.same(self.words, (filling.party, slot), words)
             return result
 
-        def watched_cell(session, rows, columns, stats):
-            self.cell[session.party] = [rows, columns, 0]
+        def watched_cell(comparing, rows, columns, connection, stats):
+            self.cell[connection.party] = [rows, columns, 0]
             try:
-                return run_cell(session, rows, columns, stats)
+                return run_cell(comparing, rows, columns, connection, stats)
             finally:
-                del self.cell[session.party]
+                del self.cell[connection.party]
 
         async def watched_open(party, *values):
             if party.index in self.cell:
@@ -63,7 +63,7 @@ class Watch:
             return await opening(party, *values)
 
         monkeypatch.setattr(Filling, "exchange", watched_exchange)
-        monkeypatch.setattr(GallerySession, "_run_cell", watched_cell)
+        monkeypatch.setattr(Comparing, "_run_cell", watched_cell)
         monkeypatch.setattr(Party, "open", watched_open)
 
     def same(self, seen, key, data):
@@ -134,7 +134,7 @@ PROGRAMS = {"product": Product(), "near": Near(), "cosine": Cosine(), "twice": T
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, security):
     """Every frame that one side does not get, or sends half of; then both are back, and bring the rest."""
-    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
     monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
     terms = Terms(PROGRAMS[name], DIM, security)
     several_rounds = name in ("cosine", "twice")
@@ -168,7 +168,7 @@ def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, securi
 @pytest.mark.parametrize("name", ["product", "cosine"])
 def test_it_breaks_again_and_again(galleries, monkeypatch, name):
     """Breaks of breaks: every meeting is cut at a random frame, until one is not."""
-    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
     monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
     for seed in range(6):
@@ -191,7 +191,7 @@ class Stop(BaseException):
 @pytest.mark.parametrize("name", ["product", "cosine", "twice"])
 def test_a_process_that_stops_at_any_durable_step_goes_on(galleries, monkeypatch, name):
     """Before and after each thing that the ledger is told."""
-    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 6)
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
     monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
     step, count, stop = Journal.step, [0, 0], [None, None, None]

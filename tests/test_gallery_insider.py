@@ -12,7 +12,7 @@ from gallery_insider import (
     vectors,
 )
 from gallery_session_helpers import Near, Product
-from insider import elements, frame_of
+from insider_frames import elements, frame_of
 
 from spdz.arithmetic.field import P
 from spdz.foundations.errors import SpdzError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from gallery_insider import Lies, at_bit, at_element, duel, instead, random_element, vectors
 from gallery_session_helpers import Product
-from insider import elements, frame_of
+from insider_frames import elements, frame_of
 
 from spdz.arithmetic import field
 from spdz.arithmetic.field import P
@@ -21,6 +21,7 @@ from spdz.foundations.errors import SpdzError
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
 from spdz.rounds.mac_check import MacCheck
+from spdz.session.comparing import Comparing
 from spdz.session.gallery import GallerySession
 from spdz.values import input_mask
 
@@ -92,13 +93,13 @@ def cancelling_under(make):
         class Knowing(Lies):
             def __call__(self, *args):
                 liar = super().__call__(*args)
-                run = liar._run
+                run = liar.run
 
                 def watched(protocol, stats):
                     seen.check = liar._agreement.mac_check
                     return run(protocol, stats)
 
-                liar._run = watched
+                liar.run = watched
                 return liar
 
         return Knowing(frame)
@@ -221,18 +222,18 @@ def test_proofs_come_before_cells(galleries, evil):
     """Proved only when the cells are done, a cheater's bits are out before it is refused."""
     prepare, unproved = GallerySession._prepare, GallerySession._refuse_unproved
 
-    def late(self, step, on_block):
+    def late(self, session, step, on_block):
         held = []
-        self._refuse_unproved = lambda *arguments: held.append(arguments)
-        prepare(self, step.stats)
-        compare(self, step, on_block)
+        session._refuse_unproved = lambda *arguments: held.append(arguments)
+        prepare(session, step.filling.stats)
+        compare(self, session, step, on_block)
         for arguments in held:
-            unproved(self, *arguments)
+            unproved(session, *arguments)
 
-    compare = GallerySession._compare_new
+    compare = Comparing.new
     with ExitStack() as stack:
         stack.enter_context(patch.object(GallerySession, "_prepare", lambda self, stats: None))
-        stack.enter_context(patch.object(GallerySession, "_compare_new", late))
+        stack.enter_context(patch.object(Comparing, "new", late))
         found = duel(galleries(TERMS, SLOTS), vectors(), evil, huge(evil))
     assert found.error == "ProtocolViolation" and found.seen
     real = duel(galleries(TERMS, SLOTS), vectors(), evil, huge(evil))

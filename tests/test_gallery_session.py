@@ -62,7 +62,7 @@ def test_random_galleries(galleries, monkeypatch, seed):
     security = rng.choice(["malicious", "semi-honest"])
     terms = Terms(program, dim, security, resolution=rng.choice([None, 16, 6]))
     counts = rng.choice([(1, 1), (1, 30), (40, 1), (rng.randint(1, 40), rng.randint(1, 60))])
-    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", rng.choice([1, 7, 50, 1 << 16]))
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", rng.choice([1, 7, 50, 1 << 16]))
     monkeypatch.setattr("spdz.session.gallery._PREPARED", rng.choice([3, 128]))
     monkeypatch.setattr("spdz.session.filling.MOST", rng.choice([4, 4096]))
     voids = rng.random() < 0.5

@@ -99,9 +99,7 @@ class Comparing:
         parts: list[Cell] = []
         try:
             for rows, columns in cells(strip, (first, second), self._most_pairs):
-                reader = connection.reader(read_pairs(self.tape, rows, columns), stats)
-                sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
-                parts.append((rows, columns, connection.run(compare(reader, self.terms, *sides), stats)))
+                parts.append((rows, columns, self._run_cell(rows, columns, connection, stats)))
         except Wrapped:  # it would be so again
             if not kept:
                 self.ledger.burn(strip)
@@ -115,3 +113,8 @@ class Comparing:
             block = oriented(self.tape.header.party, part)
             step.blocks.append(block)
             on_block(block)
+
+    def _run_cell(self, rows: range, columns: range, connection: Connection, stats: Stats) -> Any:
+        party = connection.reader(read_pairs(self.tape, rows, columns), stats)
+        sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
+        return connection.run(compare(party, self.terms, *sides), stats)
