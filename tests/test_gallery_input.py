@@ -114,7 +114,7 @@ def test_a_gallery_that_is_full_because_of_a_void_slot_loses_nothing(galleries, 
 
 
 def test_threads_take_turns(galleries):
-    """A second thread is told, whatever it calls, and the first one's step is as ever."""
+    """A second thread may bring descriptors for the next step; a step of its own is refused."""
 
     def work(session):
         refused, ready, go = [], threading.Event(), threading.Event()
@@ -138,10 +138,11 @@ def test_threads_take_turns(galleries):
         session.add(X[:2])
         step = session.step(show)
         thread.join(10)
-        return step, refused
+        return step, refused, session.step()
 
-    for step, refused in no_errors(galleries(Terms(Product(), DIM), SLOTS).meet(work)):
-        assert len(step.blocks) == 1 and len(refused) == 2 and "thread" in refused[0]
+    for step, refused, later in no_errors(galleries(Terms(Product(), DIM), SLOTS).meet(work)):
+        assert len(step.blocks) == 1 and len(refused) == 1 and "thread" in refused[0]
+        assert later.own == [2] and later.peer == [2]
 
 
 def test_a_fork_uses_nothing_of_its_parents(galleries):

@@ -108,9 +108,9 @@ class GallerySession(Lifecycle):
         """Own slots that are neither used nor waited for."""
         return self._filling.room
 
-    def require_room(self, more: int = 0) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for what waits and so many more descriptors."""
-        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting) + more)
+    def require_room(self) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for what waits."""
+        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting))
 
     def results(self) -> Iterator[Block]:
         """All results so far, as they were committed, strip by strip."""
@@ -147,7 +147,7 @@ class GallerySession(Lifecycle):
         """
         self._require_alive()
         raw = quantised(self._terms, descriptors)
-        self.require_room(len(raw))
+        self._filling.refuse_more_than(self.room, len(raw))
         self._waiting += list(raw)
 
     def step(
