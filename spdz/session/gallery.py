@@ -24,6 +24,7 @@ from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
+from spdz.gallery.strip import between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -121,8 +122,16 @@ class GallerySession(Lifecycle):
             yield oriented(self.party, (strip.rows, strip.columns, results))
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw."""
-        return self._shelves[self.party].plain(slots)
+        """The quantised descriptors in own slots, raw, shape (n, N)."""
+        shelf = self._shelves[self.party]
+        shelf.read_masks([slot for slot in slots if slot >= self._ready[self.party]])
+        return shelf.plain(slots)
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether pairs of filled slots wait to be compared, as after a step that was broken off."""
+        first, second = self._ledger.slots
+        return bool(self._comparing.again or between(self._ledger.done, (first.filled, second.filled)))
 
     @property
     def filled(self) -> list[int]:
@@ -161,6 +170,7 @@ class GallerySession(Lifecycle):
         """
         with self._guard():
             step, more = Step() if into is None else into, True
+            self._forget_void(step)
             while more:
                 with step.filling.timed() as stats:
                     more = self._filling.exchange(self._agreement, step)
@@ -176,6 +186,12 @@ class GallerySession(Lifecycle):
             return self._agreement.note(note)
 
     # -- the parts of a step -------------------------------------------------------------------------
+
+    def _forget_void(self, step: Step) -> None:
+        """Of a step that an earlier session has begun, the slots that were lost since."""
+        for slots, owner in ((step.own, self.party), (step.peer, 1 - self.party)):
+            void = set(self._ledger.slots[owner].voids)
+            slots[:] = [slot for slot in slots if slot not in void]
 
     def _begin(self) -> None:
         """Bind the checks that follow to everything that both sides hold."""
