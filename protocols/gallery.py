@@ -175,7 +175,8 @@ class Gallery(Reconnecting[GallerySession]):
             The slots that the new descriptors are in, and all new results.
 
         Raises:
-            TapeExhausted: if there are not slots enough; what was added is forgotten, nothing is consumed.
+            TapeExhausted: if there are not slots enough; what was added and is in no slot yet is forgotten,
+                nothing is consumed.
             ChannelError: if the peer was not reached, or nothing went on, for ``wait`` seconds.
             SpdzError: if the peer cheats or will not go on. Of every such error ``error.partial`` is the step
                 as far as it was decided, checked and durable; :meth:`step` goes on with it.
@@ -259,12 +260,8 @@ class Gallery(Reconnecting[GallerySession]):
         elif abs(self._number - peer) > 1:
             raise OutOfStep(f"this side is at step {self._number} and the peer at {peer}")
         elif peer < self._number:
-            waiting, self._waiting[:] = list(self._waiting), []
-            self._step = self._step or Step()
-            try:
-                session.step(self._block, into=self._step)
-            finally:
-                self._waiting[:0] = waiting
+            self._step = self._step or Step()  # the next one of this side: it has what the peer still brings
+            session.step(self._block, into=self._step)
         self._fresh = False
 
     def _part(self, session: GallerySession) -> None:
@@ -272,17 +269,13 @@ class Gallery(Reconnecting[GallerySession]):
         session.exchange_note({"step": self._number})
 
     def _take_added(self) -> None:
-        """Bring what was added until now; refuse it, and only it, while nothing is lost by that.
-
-        What a broken step has left is refused only if there is no room for it alone.
-        """
+        """Bring what was added until now; refuse it where there is no room, while nothing is lost by it."""
         new = self._added[:]
         del self._added[: len(new)]
         try:
             self._reached.require_room(len(new))
         except TapeExhausted:
-            if not new:
-                self._waiting.clear()
+            self._waiting.clear()
             raise
         self._waiting += new
 

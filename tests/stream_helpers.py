@@ -102,8 +102,14 @@ def check_stream(results, streams=STREAMS):
             assert (known == 1).all() and np.array_equal(table, right)
         sizes = [[len(new) for new in side] for side in (streams[party], streams[1 - party])]
         assert [len(step.own) for step in steps] == sizes[0]
-        assert sum((step.own for step in steps), []) == list(range(sum(sizes[0])))
-        assert sorted(sum((step.peer for step in steps), [])) == list(range(sum(sizes[1])))
+        assert [slot for step in steps for slot in step.own] == list(range(sum(sizes[0])))
+        assert sorted([slot for step in steps for slot in step.peer]) == list(range(sum(sizes[1])))
+
+
+def decided(blocks, party):
+    right = expected(party)
+    table, known = table_of(blocks, right.shape)
+    assert (known == 1).all() and np.array_equal(table, right)
 
 
 def in_thread(work):
