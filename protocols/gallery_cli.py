@@ -15,9 +15,10 @@ import numpy as np
 from protocols.catalog import GalleryPurpose, threshold_warning
 from protocols.descriptors import load_descriptors
 from protocols.gallery import Gallery
+from protocols.memory import in_bytes
 from spdz.console.command import say_error
 from spdz.console.progress import progress_bar
-from spdz.foundations.errors import SpdzError, TapeDestroyed, TapeInUse
+from spdz.foundations.errors import ChannelError, SpdzError, TapeDestroyed, TapeInUse
 from spdz.session import Block, Step
 
 _NAME = "python -m spdz match"
@@ -55,14 +56,20 @@ def run_gallery(options: argparse.Namespace) -> int:
             with closing(gallery):
                 gallery.check(descriptors)
                 gallery.connect()
+                if gallery.unfinished:
+                    say("an earlier run was interrupted: this one goes on where it was", options.quiet)
                 held = 0 if options.append else gallery.holds(descriptors)
+                if held:
+                    new = len(descriptors) - held
+                    say(f"the gallery holds {held} of these descriptors, {new} are new", options.quiet)
                 gallery.add(descriptors[held:])
                 started = time.perf_counter()
                 step = gallery.step()
                 seconds = time.perf_counter() - started
                 earlier = list(gallery.results()) if options.all else step.blocks
                 try:
-                    _print(options, gallery, step, earlier, {"ms": round(seconds * 1e3, 3)})
+                    more = {"slots_left": gallery.room, "ms": round(seconds * 1e3, 3)}
+                    _print(options, gallery, step, earlier, more)
                 finally:
                     gallery.finish()
     except (SpdzError, ValueError, OSError, KeyboardInterrupt) as error:
@@ -84,6 +91,8 @@ def _print_failure(options: argparse.Namespace, gallery: Gallery | None, error: 
     """Print what there is, and why there is no more."""
     kind, message = type(error).__name__, str(error) or "stopped before the end"
     step = gallery.partial if gallery is not None else None
+    if gallery is not None and step is not None and isinstance(error, (ChannelError, KeyboardInterrupt)):
+        say("run it again on both robots: it goes on where it was", options.quiet)
     if gallery is not None and step is not None and (step.blocks or options.json):
         more = {"error": kind, "message": message} if options.json else {}
         _print(options, gallery, step, step.blocks, more)
@@ -122,16 +131,20 @@ def _print(
         }
         print(json.dumps(summary | ({"matches": found} if bits else {"scores": _scores(blocks)})))
         return
-    if bits:
-        for own, peer in found:
-            print(f"match: {header.name} {own}  {header.peer} {peer}")
-        print(f"{len(found)} of {pairs} pairs match ({gallery.rule}, {header.security})")
-    else:
+    for own, peer in found:
+        print(f"match: {header.name} {own}  {header.peer} {peer}")
+    if not bits:
         for own, peer, score in _scores(blocks):
             print(f"{header.name} {own}  {header.peer} {peer}: {score:.6g}")
+    if not step.blocks:
+        print("nothing was compared: there was no new pair")
+    if bits and blocks:
+        so_far = " so far" if options.all and "ms" in more else ""
+        print(f"{len(found)} of {pairs} pairs match{so_far} ({gallery.rule}, {header.security})")
     spent = f"{more['ms']:.1f} ms, " if "ms" in more else ""
-    new = f"{len(step.own)} new descriptors here, {len(step.peer)} there"
-    print(f"{spent}{step.stats.bytes_sent / 1e6:.3f} MB sent, {step.stats.rounds} rounds; {new}")
+    new = f"{len(step.own)} new here and {len(step.peer)} there"
+    left = f"; {more['slots_left']} of {header.capacity[header.party]} slots left" if "ms" in more else ""
+    print(f"{spent}{in_bytes(step.stats.bytes_sent)} sent, {step.stats.rounds} rounds; {new}{left}")
 
 
 def _scores(blocks: Sequence[Block]) -> list[tuple[int, int, float]]:

@@ -14,3 +14,4 @@ def _own_state_folder(tmp_path, monkeypatch):
 def quick_disk(monkeypatch):
     """For tests of many small sessions: nothing waits for the disk."""
     monkeypatch.setattr("spdz.tape.durable.os.fsync", lambda descriptor: None)
+    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("journal_mode=TRUNCATE", "synchronous=OFF"))

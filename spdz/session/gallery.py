@@ -24,7 +24,7 @@ from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
-from spdz.gallery.strip import Strip
+from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -108,9 +108,9 @@ class GallerySession(Lifecycle):
         """Own slots that are neither used nor waited for."""
         return self._filling.room
 
-    def require_room(self) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for what waits."""
-        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting))
+    def require_room(self, more: int) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
+        self._filling.refuse_more_than(self.room, more)
 
     def results(self) -> Iterator[Block]:
         """All results so far, as they were committed, strip by strip."""
@@ -127,6 +127,12 @@ class GallerySession(Lifecycle):
         if not set(slots) <= set(self.filled):
             raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
         return self._shelves[self.party].plain(slots)
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether pairs of filled slots wait to be compared, as after a step that was broken off."""
+        first, second = self._ledger.slots
+        return bool(self._comparing.again or between(self._ledger.done, (first.filled, second.filled)))
 
     @property
     def filled(self) -> list[int]:
@@ -147,7 +153,7 @@ class GallerySession(Lifecycle):
         """
         self._require_alive()
         raw = quantised(self._terms, descriptors)
-        self._filling.refuse_more_than(self.room, len(raw))
+        self.require_room(len(raw))
         self._waiting += list(raw)
 
     def step(
@@ -165,6 +171,7 @@ class GallerySession(Lifecycle):
         """
         with self._guard():
             step, more = Step() if into is None else into, True
+            self._forget_void(step)
             while more:
                 with step.filling.timed() as stats:
                     more = self._filling.exchange(self._agreement, step)
@@ -180,6 +187,12 @@ class GallerySession(Lifecycle):
             return self._agreement.note(note)
 
     # -- the parts of a step -------------------------------------------------------------------------
+
+    def _forget_void(self, step: Step) -> None:
+        """Of a step that an earlier session has begun, the slots that were lost since."""
+        for slots, owner in ((step.own, self.party), (step.peer, 1 - self.party)):
+            void = set(self._ledger.slots[owner].voids)
+            slots[:] = [slot for slot in slots if slot not in void]
 
     def _begin(self) -> None:
         """Bind the checks that follow to everything that both sides hold."""

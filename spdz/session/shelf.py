@@ -63,6 +63,11 @@ class Shelf:
         """What the slots hold: words of shape (n, N)."""
         self._eps[list(slots)] = words
 
+    def read_masks(self, slots: Sequence[int]) -> None:
+        """Read the masks of own slots that :meth:`prepare` has not come to yet."""
+        if self._s is not None and slots:
+            self._s[list(slots)] = self.masks(slots)
+
     def plain(self, slots: Sequence[int]) -> IntArray:
         """The raw vectors in own slots, shape (n, N)."""
         if not self._own:
@@ -93,8 +98,7 @@ class Shelf:
         terms, index = self._terms, list(slots)
         mask, mac = party.input_mask(Input(self.owner, (len(index), terms.dim), terms.norm))
         words = self._eps[index]
-        if self._s is not None:
-            self._s[index] = self.masks(slots)
+        self.read_masks(slots)
         if self._mac is not None and mac is not None:
             self._mac[index] = mac
         shape = (len(index), terms.dim)
