@@ -167,7 +167,13 @@ def parser() -> argparse.ArgumentParser:
         "--min-norm",
         type=float,
         metavar="R",
-        help="with --slots: smallest L2 norm of a descriptor (default 0)",
+        help="with --slots or --norm-proof: smallest L2 norm of a descriptor (default 0)",
+    )
+    add(
+        "--norm-proof",
+        action="store_true",
+        help="with --count or --maps: every job proves that its descriptors' norms are in range, as a "
+        "gallery does once a descriptor; two rounds and two checks more, 2 KB of tape a descriptor",
     )
     add(
         "--no-norm-proof",
@@ -188,12 +194,14 @@ def misplaced(options: argparse.Namespace) -> str | None:
     if options.slots is None:
         for name, given in (
             ("--resolution", options.resolution is not None),
-            ("--min-norm", options.min_norm is not None),
+            ("--min-norm", options.min_norm is not None and not options.norm_proof),
             ("--no-norm-proof", options.no_norm_proof),
         ):
             if given:
                 return f"{name} is for galleries: give --slots as well, or leave it out"
         return None
+    if options.norm_proof:
+        return "--norm-proof is for jobs: a gallery proves norms unless --no-norm-proof says otherwise"
     if options.meetings is not None:
         return "--meetings is for maps: a gallery is there for as many as it takes, so leave it out"
     if options.tile is not None:
