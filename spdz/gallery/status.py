@@ -47,7 +47,7 @@ class GalleryStatus:
         in_use: Whether a process has the tape, or a copy of it, open.
         destroyed: Whether it was destroyed after a failed MAC check.
         rolled_back: Whether the ledger is behind its mark, or missing although there is one: it was copied
-            back from a backup, or lost. Unknown, hence False, while in use.
+            back from a backup, or lost.
     """
 
     header: GalleryHeader
@@ -179,7 +179,7 @@ def _status(descriptor: int, path: Path, folder: Path) -> GalleryStatus:
         has_ledger=has_ledger,
         in_use=in_use,
         destroyed=destroyed,
-        rolled_back=behind and not in_use and not destroyed,
+        rolled_back=behind and not destroyed,
     )
 
 
