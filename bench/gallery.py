@@ -93,6 +93,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         resolution = parse_resolution(options.resolution)
         purpose = GalleryPurpose("S10", options.dim, resolution=resolution, proof=not options.no_proof)
         asked = [tapes.Asked(purpose, options.threshold, one, options.seed) for one in options.security]
+        for one in asked:
+            _ = one.terms  # raises for what cannot be asked
         return run_command("python -m bench gallery", lambda: _run(options, asked), as_json=options.json)
     except ValueError as error:
         arguments.error(str(error))

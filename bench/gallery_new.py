@@ -14,6 +14,7 @@ import numpy as np
 from bench import gallery_tapes as tapes
 from bench.parties import Note, free_port, most_memory, pin, run_processes
 from spdz.console.progress import Report
+from spdz.foundations.types import FloatArray
 
 _TOGETHER = 250
 """Descriptors that come together until all stand."""
@@ -65,6 +66,7 @@ class _Task:
     folder: Path
     asked: tapes.Asked
     port: int
+    counts: tuple[int, int]
     new: int
 
 
@@ -96,8 +98,8 @@ def measure_new(asked: tapes.Asked, new: int, stored: int, trials: int, *, repor
         tapes.deal(tapes.Dealing((folder,), asked, counts), report)
         tape_bytes = max(tapes.tape_path(folder, party).stat().st_size for party in (0, 1))
         for party in (0, 1):
-            np.save(_file(folder, party), inputs[party])
-        task = _Task(folder, asked, free_port(), new)
+            inputs[party].tofile(_file(folder, party))
+        task = _Task(folder, asked, free_port(), counts, new)
         first, second = run_processes(_party, task, on_note=lambda _, done: report(*done))
     slower = [max(pair) * 1e3 for pair in zip(first.seconds, second.seconds, strict=True)]
     comparing = [max(pair) * 1e3 for pair in zip(first.comparing, second.comparing, strict=True)]
@@ -123,25 +125,30 @@ def measure_new(asked: tapes.Asked, new: int, stored: int, trials: int, *, repor
 
 
 def _file(folder: Path, party: int) -> Path:
-    """A party's descriptors: each reads its own, a part at a time, so that its memory is a robot's."""
-    return folder / f"{party}.npy"
+    return folder / f"{party}.float64"
+
+
+def _read(task: _Task, party: int, start: int, count: int) -> FloatArray:
+    """Some of a party's own descriptors: read a part at a time, so that its memory is a robot's."""
+    dim = task.asked.purpose.dim
+    offset = start * dim * np.dtype(np.float64).itemsize
+    return np.fromfile(_file(task.folder, party), count=count * dim, offset=offset).reshape(-1, dim)
 
 
 def _party(index: int, task: _Task, pipe: Any) -> None:
     """Timed: the whole of a step, from the plain descriptors on."""
     pin(index)
-    found, (coming, standing) = _Measured(), (np.load(_file(task.folder, k), mmap_mode="r") for k in (0, 1))
-    total = len(standing) + len(coming)
+    found, (coming, standing) = _Measured(), task.counts
     with tapes.open_side(task.folder, index, task.asked, task.port) as gallery:
         slots: list[int] = []
-        for start in range(0, len(standing), _TOGETHER):
+        for start in range(0, standing, _TOGETHER):
             if index == 1:
-                gallery.add(np.array(standing[start : start + _TOGETHER]))
+                gallery.add(_read(task, 1, start, _TOGETHER))
             step = gallery.step()
             slots += step.peer if index == 0 else step.own
-            pipe.send(Note((len(slots), total)))
-        for start in range(0, len(coming), task.new):
-            new = np.array(coming[start : start + task.new])
+            pipe.send(Note((len(slots), standing + coming)))
+        for start in range(0, coming, task.new):
+            new = _read(task, 0, start, task.new)
             started = time.perf_counter()
             if index == 0:
                 gallery.add(new)
@@ -153,6 +160,6 @@ def _party(index: int, task: _Task, pipe: Any) -> None:
                 which = (step.own, slots) if index == 0 else (slots, step.peer)
                 found.decisions.append(tapes.decided(step.blocks, *which))
             found.bytes_sent = step.stats.bytes_sent
-            pipe.send(Note((len(slots) + start + task.new, total)))
+            pipe.send(Note((len(slots) + start + task.new, standing + coming)))
     found.max_rss_mb = most_memory()
     pipe.send(found)

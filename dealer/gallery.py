@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ TILES_BYTES = 8 << 20
 class BandKeys:
     """Both parties' band keys: ``of[party][owner][band]``."""
 
-    of: tuple[tuple[list[bytes], list[bytes]], tuple[list[bytes], list[bytes]]]
+    of: tuple[tuple[list[bytes], list[bytes]], tuple[list[bytes], list[bytes]]] = field(repr=False)
 
     @classmethod
     def fresh(cls, counts: tuple[int, int]) -> BandKeys:

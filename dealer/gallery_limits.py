@@ -12,13 +12,14 @@ from spdz.readings.gallery_plan import GalleryPlan
 from spdz.readings.meter import Meter
 from spdz.rounds.coroutine import run_silently
 from spdz.rounds.wire import ELEMENT_BYTES
-from spdz.session.comparing import CELL_BYTES, STRIP_PAIRS
+from spdz.session.comparing import CELL_BYTES
+from spdz.session.strips import STRIP_PAIRS
 from spdz.values.engine import Input
 
 _FIXED_MEMORY = 32 << 20  # chunks in which keys are made, and buffers
 _PAD_MEMORY = 6.5  # times both pads: expanded, reduced, split into limbs for their products
 _CORRECTION_MEMORY = 3.0  # times both corrections: made, joined, and one copy sealed
-_OPERAND_MEMORY = 180  # bytes an element of what was prepared and is multiplied: limbs in floats
+_OPERAND_MEMORY = 300  # bytes an element of what was prepared and is multiplied: limbs in floats
 _WORD = 8
 
 

@@ -199,7 +199,10 @@ def misplaced(options: argparse.Namespace) -> str | None:
     if options.tile is not None:
         return "--tile is for jobs: a gallery compares any descriptors, so leave it out"
     if options.spare is not None:
-        return "--spare is for jobs: a gallery loses nothing by an interruption, so leave it out"
+        return (
+            "--spare is for jobs: a gallery goes on after an interruption (S3, S4, S8 and S9 without the "
+            "results that it cut off), so leave it out"
+        )
     return None
 
 

@@ -31,6 +31,8 @@ from spdz.session.turn import Turn
 
 Self = TypeVar("Self", bound="Gallery")
 
+_MOST_STEPS = 1 << 53
+
 
 class Gallery(Reconnecting[GallerySession]):
     """One robot's side of a gallery with one peer.
@@ -252,8 +254,9 @@ class Gallery(Reconnecting[GallerySession]):
         """On a fresh connection: serve a peer that has missed the end of the last step."""
         if not self._fresh:
             return
-        peer = session.exchange_note({"step": self._number})["step"]
-        if not (peer is None or (type(peer) is int and peer >= 0)):
+        note = session.exchange_note({"step": self._number})
+        peer = note.get("step")
+        if set(note) != {"step"} or not (peer is None or (type(peer) is int and 0 <= peer < _MOST_STEPS)):
             raise ProtocolViolation("the peer's number of steps is no number")
         if self._number is None or peer is None:
             self._number = max(self._number or 0, peer or 0)

@@ -16,6 +16,7 @@ from spdz.foundations.errors import (
     TapeInUse,
     TapeMismatch,
     Unsent,
+    Wrapped,
 )
 from spdz.foundations.stats import Outcome, Stats
 from spdz.functions import (
@@ -76,6 +77,7 @@ __all__ = [
     "TapeMismatch",
     "Unsent",
     "Value",
+    "Wrapped",
     "__version__",
     "absolute",
     "beaver_dot",

@@ -2,6 +2,7 @@
 
 import pytest
 from channel_helpers import folders, pair  # noqa: F401  # fixtures
+from gallery_session_helpers import galleries, no_sync  # noqa: F401
 
 
 @pytest.fixture(autouse=True)

@@ -148,8 +148,8 @@ print(status("VmHWM") - before)
 @pytest.mark.parametrize(
     ("score", "dim", "slots", "security"),
     [
-        ("S10", 8192, (64, 128), "malicious"),
-        ("S7", 512, (64, 300), "malicious"),
+        ("S10", 8192, (64, 1024), "malicious"),
+        ("S7", 1024, (64, 600), "malicious"),
         ("S2", 64, (16, 32), "malicious"),
         ("S1", 512, (32, 16), "semi-honest"),
     ],

@@ -5,9 +5,13 @@ import pytest
 
 from spdz import MacCheckFailed
 from spdz.arithmetic import field
+from spdz.arithmetic.bound import NOTHING
 from spdz.arithmetic.field import P
+from spdz.foundations.stats import Stats
+from spdz.readings.party import Party
 from spdz.rounds.coroutine import exchange
 from spdz.rounds.mac_check import DIGEST_BYTES, MacCheck, drive
+from spdz.values.value import Value
 
 ALPHA = (1234567, P - 99)
 SESSION = b"session"
@@ -220,3 +224,18 @@ def test_what_is_recorded_after_a_message_is_in_the_next_one():
     check.record_bits(blocks([1, 2]))
     seen.append(check.message())
     assert len(set(seen)) == len(seen)
+
+
+def test_a_malicious_party_opens_nothing_without_a_check():
+    """Nothing would ever look at it; a party is made without one before the two sides have agreed."""
+    value = Value(None, (field.from_ints([1]), field.from_ints([2])), (1,), 0, NOTHING)
+    bits = np.ones((3, 2), dtype=np.uint64)
+    for security, refused in (("malicious", True), ("semi-honest", False)):
+        party = Party(0, security, None, None, ALPHA[0], Stats())
+        for opening in (party.open(value), party.open_bits(bits, bits[0])):
+            if refused:
+                with pytest.raises(MacCheckFailed, match="without a check"):
+                    opening.send(None)
+            else:
+                assert opening.send(None).payload
+                opening.close()

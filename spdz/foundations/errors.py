@@ -10,7 +10,8 @@
     │   ├── ChannelTimeout   the peer did not answer within the time limit
     │   ├── ChannelClosed    the peer hung up
     │   ├── PeerAborted      the peer stopped and said why
-    │   └── Unsent           this job's mask does not suit the input, a matter of chance: run the next one
+    │   ├── Unsent           this job's mask does not suit the input, a matter of chance: run the next one
+    │   └── Wrapped          an opened number may have wrapped, a matter of chance: run the next job
     └── TapeError            something about the dealt correlations
         ├── TapeMismatch     the two tapes, or tape and program, do not belong together
         ├── TapeExhausted    every dealt job has been used
@@ -90,6 +91,12 @@ class PeerAborted(ChannelError):
 
 class Unsent(ChannelError):
     """A masked input would have told something of itself and was not sent; the job is used up."""
+
+    passing = True
+
+
+class Wrapped(ChannelError):
+    """An opened number may have wrapped behind its mask; nothing was output, and the job is used up."""
 
     passing = True
 

@@ -3,9 +3,10 @@
 The dealer picks rho; the parties open ``c = z + 2^(b-1) + rho``. So ``<z> = (c, r)`` with
 ``r = -rho - 2^(b-1)``, and every later product, power, truncation or comparison of z is local.
 
-For a value of b <= 86 bits rho is uniform on [0, p - 2^b): as integers c never wraps, which truncation and
-comparison rely on, and c is within 2^(b-127) of uniform for *every* z in F_p, also for one that a malicious
-peer has pushed out of range. A longer value can only be multiplied; its rho is uniform on F_p.
+rho is uniform on F_p, so c tells nothing of z, whatever z is. Truncation and comparison of a value of b <= 86
+bits rely on c not wrapping as an integer; where it has wrapped it is below 2^b. So a c below 2^b is given up
+(:class:`~spdz.foundations.errors.Wrapped`), with probability 2^(b-127) an entry whatever z is, and every
+other one is right. A longer value can only be multiplied.
 
 Cost: one round for any number of values, one element an entry. Secure against malicious parties: what is
 opened is recorded for the MAC check.
@@ -17,10 +18,12 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
+import numpy.typing as npt
 
 from spdz.arithmetic import field
 from spdz.arithmetic.bound import NOTHING, Bound
 from spdz.arithmetic.field import P
+from spdz.foundations.errors import Wrapped
 from spdz.foundations.types import FieldArray
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.values.refusals import expect_secret
@@ -30,7 +33,7 @@ FULL = 127
 """Bits of a fresh mask."""
 
 SECURITY_BITS = 40
-"""The statistical distance and the chance of a wrapped opening stay below 2^-40."""
+"""The chance of a wrapped opening stays below 2^-40."""
 
 
 def signed_bits(bound: int) -> int:
@@ -47,27 +50,44 @@ def integer_mask(r: FieldArray, bits: int) -> FieldArray:
 
 
 def dealt_integer_mask(r: FieldArray, bits: int) -> FieldArray:
-    """:func:`integer_mask` at the dealer, who sees whether c could wrap.
+    """:func:`integer_mask` at the dealer, who sees where c could wrap.
 
-    A mask with all its bits wraps with probability 2^(bits-127). Where masks cancel (a value from which
-    itself, or its own truncation, was subtracted; a factor of 0) c can wrap always.
+    A uniform mask lets c wrap with probability 2^(bits-127) an entry, which the parties notice. Where masks
+    cancel (a value from which itself, or its own truncation, was subtracted; a factor of 0) c can wrap
+    always. To refuse what chance may bring would tell something of the other masks, so the sign of it is that
+    nothing is left of a mask, or that c could wrap at more than one entry, or at the only one.
 
     Raises:
-        ValueError: if it could wrap for some z in range.
+        ValueError: if masks cancel.
     """
     rho = integer_mask(r, bits)
     # p - rho is the complement of 127 bits.
     room = rho ^ np.array([(1 << 64) - 1, (1 << 63) - 1], dtype=np.uint64)
-    word, offset = divmod(bits, 64)
-    above = room[..., word] >> np.uint64(offset)
-    if word == 0:
-        above = above | room[..., 1]
-    if not above.all():
+    wraps = _below(room, bits)
+    if np.count_nonzero(wraps) > (wraps.size > 1) or not r.any(axis=-1).all():
         raise ValueError(
             "a comparison or truncation is asked for where masks cancel (something was subtracted from "
             "itself or multiplied by 0): mask the value anew, `await spdz.mask(z, fresh=True)`"
         )
     return rho
+
+
+def _below(numbers: FieldArray, bits: int) -> npt.NDArray[np.bool_]:
+    """Which elements are below ``2^bits``, as integers."""
+    word, offset = divmod(bits, 64)
+    above = numbers[..., word] >> np.uint64(offset)
+    if word == 0:
+        above = above | numbers[..., 1]
+    return np.asarray(above == 0)
+
+
+def _refuse_wrapped(c: FieldArray, bits: int, mask_bits: int) -> None:
+    """Give up a c that may have wrapped: whatever its mask, it is then below 2^bits."""
+    if _below(c, bits).any():
+        raise Wrapped(
+            f"an opened number may have wrapped behind its mask, which happens once in 2^{mask_bits - bits} "
+            "times: nothing was output; run the next job"
+        )
 
 
 def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
@@ -87,6 +107,7 @@ def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
     Raises:
         TypeError: if the value is not masked.
         ValueError: if its range is too long for its mask.
+        Wrapped: if it may have wrapped.
     """
     if not z.masked:
         raise TypeError("this gate works on a masked value: `[z] = await spdz.mask(z)` first")
@@ -98,10 +119,12 @@ def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
             return Value(z.engine, parts, z.shape, z.frac, z.bound, masked=True), bits
     if bits + SECURITY_BITS >= z.mask_bits or z.span:
         raise ValueError(
-            f"a comparison or truncation over {bits} bits would leave less than 2^-{SECURITY_BITS} "
-            f"statistical security under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
+            f"a comparison or truncation over {bits} bits would wrap more often than once in "
+            f"2^{SECURITY_BITS} times under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
             "mask the value anew"
         )
+    if isinstance(z.engine, Evaluation):
+        _refuse_wrapped(z.parts[0], bits, z.mask_bits)
     return z, bits
 
 
@@ -118,7 +141,7 @@ class Mask(Gate):
     def _deal(self, recipe: Recipe, z: Value) -> Value:
         count = ("mask", prod(z.shape))
         return recipe.masked_value(
-            "mask", (z,), z.shape, z.frac, z.bound, lambda: _fresh_mask(recipe, z), count=count
+            "mask", (z,), z.shape, z.frac, z.bound, lambda: recipe.uniform_below(P, z.shape), count=count
         )
 
     async def evaluate(self, party: Evaluation, *values: Value) -> list[Value]:
@@ -140,13 +163,6 @@ class Mask(Gate):
     async def clear(self, engine: ClearText, *values: Value) -> list[Value]:
         """The values themselves."""
         return [engine.value(z.parts[0], z.frac, z.bound, masked=True) for z in values]
-
-
-def _fresh_mask(recipe: Recipe, z: Value) -> FieldArray:
-    bits = signed_bits(z.bound.entry)
-    if bits + SECURITY_BITS >= FULL:
-        return recipe.uniform_below(P, z.shape)
-    return integer_mask(recipe.uniform_below(P - (1 << bits), z.shape), bits)
 
 
 async def mask(*values: Value, fresh: bool = False) -> list[Value]:

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.fixed_point import FRACTION_BITS, norm_bound, square_bounds
+from spdz.arithmetic.short import MOST_BITS
 from spdz.foundations.types import Security, Shape
 from spdz.gates.interval import inside
 from spdz.gates.output import output
@@ -67,7 +68,7 @@ class Terms:
     proof: bool = True
 
     def __post_init__(self) -> None:
-        if self.word_bits > provable_bits(self.dim):
+        if self.word_bits > min(provable_bits(self.dim), MOST_BITS - 1):
             raise ValueError(
                 f"vectors of {self.dim} numbers and norm {self.program.max_norm:g} need words of more "
                 "than 57 bits, which a gallery has not: scale them down and deal for a smaller max_norm"

@@ -23,7 +23,7 @@ from spdz.arithmetic import field
 from spdz.arithmetic.public import Raw
 from spdz.arithmetic.rings import elements
 from spdz.dcf import Keys
-from spdz.foundations.errors import ProtocolViolation
+from spdz.foundations.errors import MacCheckFailed, ProtocolViolation
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import Block, FieldArray, Security, Shape
 from spdz.readings.streams import JobStream, RecordStream
@@ -167,10 +167,15 @@ class Party(Evaluation):
             return None
         return self._stream.correction(shape) if stored else self._stream.pad(shape)
 
+    def _require_check(self) -> None:
+        if self.malicious and self._mac_check is None:
+            raise MacCheckFailed("nothing is opened in the malicious mode without a check that records it")
+
     # -- openings ------------------------------------------------------------------------------------
 
     async def open(self, *values: Value) -> list[FieldArray]:
         """Exchange value shares; every opening is recorded for the next MAC check."""
+        self._require_check()
         own = [value.parts[0] for value in values]
         theirs = await exchange_elements(own, [value.shape for value in values])
         opened = [field.add(a, b) for a, b in zip(own, theirs, strict=True)]
@@ -181,6 +186,7 @@ class Party(Evaluation):
 
     async def open_bits(self, shares: Block, delta: Block) -> npt.NDArray[np.bool_]:
         """Exchange the lowest bits, packed; the rest of every share is its MAC."""
+        self._require_check()
         n = len(shares)
         own = np.packbits((shares[:, 0] & np.uint64(1)).astype(np.uint8), bitorder="little")
         theirs = np.frombuffer(await exchange([own.data], len(own), 0), dtype=np.uint8)

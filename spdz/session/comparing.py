@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
+from typing import Protocol as Interface
 
+from spdz.foundations.errors import Wrapped
 from spdz.foundations.stats import Stats
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Strip, between
@@ -17,16 +19,33 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import Protocol
 from spdz.session.pairs import read_pairs
 from spdz.session.shelf import Shelf
-from spdz.session.strips import Block, Cell, Step, cells, encode_results, oriented, pieces, within
-
-STRIP_PAIRS = 1 << 16
-"""Most pairs of a strip, unless it is one row or column."""
+from spdz.session.strips import (
+    STRIP_PAIRS,
+    Block,
+    Cell,
+    Step,
+    cells,
+    encode_results,
+    oriented,
+    pieces,
+    within,
+)
 
 CELL_BYTES = 64 << 20
 """Most stored bytes of the pairs that are compared at a time."""
 
-MakeParty: TypeAlias = Callable[[RecordStream, Stats], Party]
-Run: TypeAlias = Callable[[Protocol[Any], Stats], Any]
+
+class Connection(Interface):
+    """What comparing needs of a session."""
+
+    def reader(self, stream: RecordStream, stats: Stats) -> Party:
+        """A party that draws on some records."""
+
+    def run(self, protocol: Protocol[Any], stats: Stats) -> Any:
+        """Run a protocol on the connection."""
+
+    def keep_step(self, strip: Strip) -> None:
+        """Wait for the peer at a strip of which nothing is compared."""
 
 
 @dataclass(slots=True)
@@ -49,28 +68,27 @@ class Comparing:
     shelves: tuple[Shelf, Shelf]
     again: list[Strip] = field(default_factory=list)
 
-    def new(self, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]) -> None:
+    def new(self, connection: Connection, step: Step, on_block: Callable[[Block], None]) -> None:
         """Compare all pairs of filled slots that are not done.
 
         Args:
-            party: Makes this session's party for some records.
-            run: Runs its protocol on the connection.
+            connection: The session.
             step: Takes the results.
             on_block: Called with every block as soon as it is checked and durable.
         """
         while self.again:
-            self._run_strip(self.again.pop(0), party, run, step, on_block)
+            self._run_strip(self.again.pop(0), connection, step, on_block)
         first, second = self.ledger.slots
         for strip in between(self.ledger.done, (first.filled, second.filled)):
             for piece in pieces(strip, self._most_pairs):
-                self._run_strip(piece, party, run, step, on_block)
+                self._run_strip(piece, connection, step, on_block)
 
     @property
     def _most_pairs(self) -> int:
         return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, *self.plan.pair.correction_bytes)))
 
     def _run_strip(
-        self, strip: Strip, party: MakeParty, run: Run, step: Step, on_block: Callable[[Block], None]
+        self, strip: Strip, connection: Connection, step: Step, on_block: Callable[[Block], None]
     ) -> None:
         """Compare a strip, keep its results, then show them."""
         kept = within(strip, self.ledger.done)  # the peer has missed it
@@ -79,10 +97,15 @@ class Comparing:
             self.ledger.begin(strip)
         stats, (first, second) = step.comparing.stats, (set(slots.voids) for slots in self.ledger.slots)
         parts: list[Cell] = []
-        for rows, columns in cells(strip, (first, second), self._most_pairs):
-            reader = party(read_pairs(self.tape, rows, columns), stats)
-            sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
-            parts.append((rows, columns, run(compare(reader, self.terms, *sides), stats)))
+        try:
+            for rows, columns in cells(strip, (first, second), self._most_pairs):
+                parts.append((rows, columns, self._run_cell(rows, columns, connection, stats)))
+        except Wrapped:  # it would be so again
+            if not kept:
+                self.ledger.burn(strip)
+            raise
+        if not parts:  # no side may be further ahead than a strip that both have begun
+            connection.keep_step(strip)
         if kept:
             return
         self.ledger.commit(strip, encode_results(strip, parts, bits=self.plan.bits))
@@ -90,3 +113,8 @@ class Comparing:
             block = oriented(self.tape.header.party, part)
             step.blocks.append(block)
             on_block(block)
+
+    def _run_cell(self, rows: range, columns: range, connection: Connection, stats: Stats) -> Any:
+        party = connection.reader(read_pairs(self.tape, rows, columns), stats)
+        sides = (self.shelves[0].filled(rows), self.shelves[1].filled(columns))
+        return connection.run(compare(party, self.terms, *sides), stats)

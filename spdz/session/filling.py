@@ -8,7 +8,7 @@ told as void, and the vector takes the next.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,7 @@ class Filling:
     ledger: Ledger
     shelves: tuple[Shelf, Shelf]
     channel: Channel
-    waiting: list[IntArray]
+    waiting: list[IntArray] = field(repr=False)
     sent: int = 0
 
     @property
@@ -161,6 +161,7 @@ class Filling:
         well_formed = (
             type(count) is int
             and type(answer["more"]) is bool
+            and bool(count or not answer["more"])  # whoever has more to bring brings some
             and 0 <= count <= min(MOST, capacity - filled)
             and isinstance(void, list)
             and all(type(one) is int and 0 <= one < count for one in void)

@@ -24,7 +24,7 @@ from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
-from spdz.gallery.strip import between
+from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -38,7 +38,7 @@ from spdz.session.comparing import Comparing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
 from spdz.session.lifecycle import Lifecycle
-from spdz.session.meeting import Standpoint, meet
+from spdz.session.meeting import PREPARED, Standpoint, meet
 from spdz.session.shelf import Shelf, configured
 from spdz.session.strips import (
     Block,
@@ -47,9 +47,6 @@ from spdz.session.strips import (
     oriented,
     within,
 )
-
-_PREPARED = 128
-"""Slots prepared at a time."""
 
 
 class GallerySession(Lifecycle):
@@ -111,9 +108,9 @@ class GallerySession(Lifecycle):
         """Own slots that are neither used nor waited for."""
         return self._filling.room
 
-    def require_room(self, more: int = 0) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for what waits and so many more descriptors."""
-        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting) + more)
+    def require_room(self, more: int) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
+        self._filling.refuse_more_than(self.room, more)
 
     def results(self) -> Iterator[Block]:
         """All results so far, as they were committed, strip by strip."""
@@ -122,10 +119,14 @@ class GallerySession(Lifecycle):
             yield oriented(self.party, (strip.rows, strip.columns, results))
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw, shape (n, N)."""
-        shelf = self._shelves[self.party]
-        shelf.read_masks([slot for slot in slots if slot >= self._ready[self.party]])
-        return shelf.plain(slots)
+        """The quantised descriptors in own slots, raw.
+
+        Raises:
+            ValueError: if a slot holds none.
+        """
+        if not set(slots) <= set(self.filled):
+            raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
+        return self._shelves[self.party].plain(slots)
 
     @property
     def unfinished(self) -> bool:
@@ -177,7 +178,7 @@ class GallerySession(Lifecycle):
                     self._begin()
                     self._prepare(stats)
                 with step.comparing.timed():
-                    self._comparing.new(self._party, self._run, step, on_block)
+                    self._comparing.new(self, step, on_block)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -212,10 +213,11 @@ class GallerySession(Lifecycle):
     def _prepare(self, stats: Stats) -> None:
         """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
+            self._ledger.pin_text(self._plan.text.encode())  # what is opened may depend on it
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
             lanes = [shelf.prepare(party, slots) for (shelf, slots), party in zip(work, parties, strict=True)]
-            proved = self._run(parallel(*lanes), stats)
+            proved = self.run(parallel(*lanes), stats)
             for (shelf, slots), proofs in zip(work, proved, strict=True):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
@@ -225,7 +227,7 @@ class GallerySession(Lifecycle):
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]
         void = set(slots.voids)
-        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -235,12 +237,18 @@ class GallerySession(Lifecycle):
                 f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
             )
 
-    def _party(self, stream: RecordStream, stats: Stats) -> Party:
+    def reader(self, stream: RecordStream, stats: Stats) -> Party:
+        """A party of this session that draws on some records."""
         check, security = self._agreement.mac_check, self._terms.security
         return configured(Party(self.party, security, stream, check, self._alpha, stats), self._terms)
 
-    def _run(self, protocol: Any, stats: Stats) -> Any:
+    def run(self, protocol: Any, stats: Stats) -> Any:
+        """Run a protocol on the connection."""
         return run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+
+    def keep_step(self, strip: Strip) -> None:
+        """Wait for the peer at a strip of which nothing is compared."""
+        self._agreement.control({"void": str(strip)}, "void")
 
     # -- meeting again -------------------------------------------------------------------------------
 
@@ -276,8 +284,8 @@ class GallerySession(Lifecycle):
         """Read what earlier sessions have filled."""
         for shelf in self._shelves:
             slots = self._ledger.slots[shelf.owner]
-            for start in range(0, slots.filled, _PREPARED):
-                entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
+            for start in range(0, slots.filled, PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
                 ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
                 known = [slot for slot, words in entries if words is not None and slot < ready]

@@ -14,12 +14,17 @@ from typing import Any
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.types import Json
 from spdz.gallery.ledger import Ledger
+from spdz.gallery.runs import are_runs, runs_of, slots_in
 from spdz.gallery.strip import Rectangle, Strip, between, grown
 from spdz.readings.gallery_plan import GalleryPlan
-from spdz.session.strips import within
+from spdz.session.strips import STRIP_PAIRS, within
 
 MOST = 4096
-"""Slots by which the two sides may differ, and void slots that one may tell: it bounds what a lie costs."""
+"""Slots by which the two sides may differ, and slots that one may make void: it bounds what a lie costs."""
+
+
+PREPARED = 128
+"""Slots of a party that are prepared at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,7 @@ class Standpoint:
         return {
             "filled": list(self.filled),
             "ready": list(self.ready),
-            "void": [list(self.void[0]), list(self.void[1])],
+            "void": [[list(run) for run in runs_of(slots)] for slots in self.void],
             "done": list(self.done),
             "flight": None
             if flight is None
@@ -74,7 +79,8 @@ class Standpoint:
         """
         try:
             filled, prepared, done = (_pair(fields[name], capacity) for name in ("filled", "ready", "done"))
-            void = (_slots(fields["void"][0], filled[0]), _slots(fields["void"][1], filled[1]))
+            first, second = fields["void"]
+            void = (_slots(first, filled[0]), _slots(second, filled[1]))
             flight = fields["flight"]
             strip, used = None, done
             if flight is not None:
@@ -100,10 +106,10 @@ def _whole(number: Any, most: int) -> int:
 
 
 def _slots(value: Any, filled: int) -> list[int]:
-    slots = [_whole(number, filled) for number in value]
-    if len(slots) > MOST or sorted(set(slots)) != slots:
-        raise ValueError("void slots are told once each, in order, and not too many")
-    return slots
+    runs = tuple((_whole(start, filled), _whole(stop, filled)) for start, stop in value)
+    if len(runs) > MOST or not are_runs(runs, filled):
+        raise ValueError("void slots are told as runs, in order, and not too many")
+    return slots_in(runs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +147,9 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
         TapeMismatch: if they differ by more than one step of an honest run.
     """
     for owner in (0, 1):
-        if abs(own.filled[owner] - peer.filled[owner]) > MOST:
+        unready = peer.filled[owner] - peer.ready[owner]
+        told = len(set(peer.void[owner]) - set(own.void[owner]))
+        if max(abs(own.filled[owner] - peer.filled[owner]), unready, told) > MOST:
             raise TapeMismatch(
                 f"this side knows {own.filled[owner]} slots of party {owner} as filled and the peer "
                 f"{peer.filled[owner]}: one of the galleries was restored from an old copy. Deal new tapes"
@@ -152,12 +160,14 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
     void = [set(own.void[owner]) | set(peer.void[owner]) for owner in (0, 1)]
     void[1 - party] |= set(forgotten)
     for i in (0, 1):
-        if plan.slots[i].openings > 1:  # half prepared
-            void[i] |= set(range(min(own.ready[i], peer.ready[i]), min(own.filled[i], peer.filled[i])))
+        if plan.slots[i].openings > 1:
+            void[i] |= _half_prepared(own, peer, i, void[i])
     first, second = (sorted(slot for slot in void[i] if slot < own.filled[i]) for i in (0, 1))
     again, burn = _strips(own, peer, plan.pair.openings <= 1)
     for strip in (*again, *burn):
         rows, columns = (min(own.filled[i], peer.filled[i]) for i in (0, 1))
+        if strip.pairs > STRIP_PAIRS and 1 not in (len(strip.rows), len(strip.columns)):
+            raise TapeMismatch(f"{strip} are more than any step compares at a time: deal new tapes")
         if not within(strip, (rows, columns)):
             raise TapeMismatch(
                 f"{strip} were begun, and one side knows {rows} x {columns} slots only: its gallery was "
@@ -165,6 +175,14 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
             )
     ready = (min(own.ready[0], peer.ready[0]), min(own.ready[1], peer.ready[1]))
     return Agreed((first, second), max(0, missing), peer.filled[party], ready, again, burn)
+
+
+def _half_prepared(own: Standpoint, peer: Standpoint, owner: int, void: set[int]) -> set[int]:
+    """Slots that one side alone has prepared, and those that either may have begun with."""
+    ready, ahead = sorted((own.ready[owner], peer.ready[owner]))
+    both = min(own.filled[owner], peer.filled[owner])
+    begun = [slot for slot in range(ahead, both) if slot not in void][:PREPARED]
+    return {*range(ready, min(ahead, both)), *begun}
 
 
 def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[Strip], list[Strip]]:
@@ -189,9 +207,8 @@ def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[S
             f"{peer.done[0]} x {peer.done[1]}: one of the galleries was restored from an old copy. "
             "Deal new tapes"
         )
-    again, burn = _told(
-        repeatable and behind.flight is not None, strips
-    )  # given up: it stays without results
+    given_up = behind.flight is None  # then it stays without results there
+    again, burn = _told(repeatable and not given_up, strips)
     next_again, next_burn = _told(repeatable, [] if ahead.flight is None else [ahead.flight])
     return again + next_again, burn + next_burn
 

@@ -69,10 +69,14 @@ class Shelf:
             self._s[list(slots)] = self.masks(slots)
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The raw vectors in own slots whose masks were read."""
-        if self._s is None:
+        """The raw vectors in own slots, shape (n, N)."""
+        if not self._own:
             raise ValueError("only the owner knows what a slot holds")
-        return np.asarray(self._eps[list(slots)] - self._s[list(slots)])
+        result = np.empty((len(slots), self._terms.dim), dtype=np.int64)
+        for start in range(0, len(slots), _TOGETHER):
+            some = slots[start : start + _TOGETHER]
+            result[start : start + len(some)] = self._eps[list(some)] - self.masks(some)
+        return result
 
     def party(
         self, slots: Sequence[int], mac_check: MacCheck | None, alpha: int | None, stats: Stats

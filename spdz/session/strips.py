@@ -14,6 +14,9 @@ import numpy.typing as npt
 from spdz.foundations.stats import Stats
 from spdz.gallery.strip import Rectangle, Strip
 
+STRIP_PAIRS = 1 << 16
+"""Most pairs of a strip, unless it is one row or column."""
+
 Results = npt.NDArray[Any]
 Cell = tuple[range, range, Results]
 """Rows, columns and the results of all their pairs."""
