@@ -77,6 +77,13 @@ class Question:
         return f"{self.score} {sign} {threshold:g}{root}"
 
     @property
+    def summary(self) -> str:
+        """What is compared and opened, for people."""
+        opened = "the candidate bit alone" if self.reveal == "bit" else "the score itself"
+        what = f"{SCORES[self.score]} of {self.dim}-D descriptors of norm at most {self.max_norm:g}"
+        return f"{what}; opens {opened}"
+
+    @property
     def dealt_program(self) -> Score | Candidate:
         """The program as the dealer reads it (a threshold changes nothing that is dealt)."""
         return self.program(0.0 if self.reveal == "bit" else None)
