@@ -114,6 +114,23 @@ def assert_clear(terms, plain, found):
     assert np.isin(found, (0, 1)).all()
 
 
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_a_coarse_comparison_errs_by_half_a_step_on_either_side_and_no_more(galleries, security):
+    terms, rng = Terms(Product(0.2), 7, security, resolution=3), np.random.default_rng(4)
+    x, y = unit_vectors(rng, 40, 7), unit_vectors(rng, 40, 7)
+    found = no_errors(galleries(terms, (40, 40)).meet(feed([x]), feed([y])))
+    (block,) = found[0][0].blocks
+    raw, half = expected(terms, quantised(terms, x), quantised(terms, y))
+    assert half == 1 << 28
+    assert (block.results == (raw >= 0))[(raw >= half) | (raw < -half)].all()
+    unsure = block.results[(raw > -half) & (raw < half)]
+    wrong_below, wrong_above = (
+        block.results[(raw < 0) & (raw > -half)],
+        ~block.results[(raw >= 0) & (raw < half)],
+    )
+    assert len(unsure) > 100 and wrong_below.any() and wrong_above.any()
+
+
 def test_both_sides_cut_alike_where_one_of_them_stores_more(galleries, monkeypatch):
     terms = Terms(Twice(), 4, "semi-honest")
     stored = measure_gallery(terms).pair.correction_bytes
