@@ -13,4 +13,5 @@ def _own_state_folder(tmp_path, monkeypatch):
 @pytest.fixture
 def quick_disk(monkeypatch):
     """For tests of many small sessions: nothing waits for the disk."""
-    monkeypatch.setattr("spdz.tape.durable.os.fsync", lambda descriptor: None)
+    for name in ("fsync", "fdatasync"):
+        monkeypatch.setattr(f"spdz.tape.durable.os.{name}", lambda descriptor: None, raising=False)
