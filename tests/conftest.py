@@ -13,5 +13,6 @@ def _own_state_folder(tmp_path, monkeypatch):
 @pytest.fixture
 def quick_disk(monkeypatch):
     """For tests of many small sessions: nothing waits for the disk."""
-    monkeypatch.setattr("spdz.tape.durable.os.fsync", lambda descriptor: None)
-    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("journal_mode=TRUNCATE", "synchronous=OFF"))
+    for name in ("fsync", "fdatasync"):
+        monkeypatch.setattr(f"spdz.tape.durable.os.{name}", lambda descriptor: None, raising=False)
+    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("synchronous=OFF",))

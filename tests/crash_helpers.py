@@ -24,6 +24,7 @@ class Disk:
         monkeypatch.setattr(os, "pwrite", self.pwrite)
         monkeypatch.setattr(os, "replace", self.replace)
         monkeypatch.setattr(os, "fsync", self.fsync)
+        monkeypatch.setattr(os, "fdatasync", self.fsync, raising=False)
         monkeypatch.delattr(fcntl, "F_FULLFSYNC", raising=False)
 
     def step(self, under_way=lambda: None):

@@ -199,8 +199,9 @@ def galleries(tmp_path_factory):
 @pytest.fixture
 def no_sync(monkeypatch):
     """Nothing waits for the disk; what a process has written, another still sees."""
-    monkeypatch.setattr("spdz.tape.durable.os.fsync", lambda descriptor: None)
-    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("journal_mode=MEMORY", "synchronous=OFF"))
+    for name in ("fsync", "fdatasync"):
+        monkeypatch.setattr(f"spdz.tape.durable.os.{name}", lambda descriptor: None, raising=False)
+    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("synchronous=OFF",))
 
 
 class Cable(MemoryChannel):

@@ -75,7 +75,8 @@ class Model:
     def apply(self, action, *values):
         """One operation; the names are those of ``run``."""
         if action == "fill":
-            owner, entries = values
+            owner, entries, *text = values
+            self.text = text[0] if text else self.text
             self.eps[owner].extend(eps for _, eps in entries)
             self.notes[owner].extend(None for _ in entries)
         elif action == "void":
@@ -83,18 +84,22 @@ class Model:
             for slot in slots:
                 self.eps[owner][slot] = None
         elif action == "note":
-            owner, notes = values
-            for slot, note in notes.items():
-                self.notes[owner][slot] = note
+            self._note(values[0])
         elif action == "pin_text":
             (self.text,) = values
         elif action == "begin":
-            (self.flight,) = values
+            self.flight, *notes = values
+            self._note(*notes)
         else:
             strip, results = (*values, None)[:2]
             self.strips.append((strip, results))
             self.done = max(self.done[0], strip.rows.stop), max(self.done[1], strip.columns.stop)
             self.flight = None
+
+    def _note(self, notes=({}, {})):
+        for owner, new in enumerate(notes):
+            for slot, note in new.items():
+                self.notes[owner][slot] = note
 
     def restored(self, backup):
         """What is left of this when a backup was copied back."""
@@ -129,16 +134,13 @@ class Model:
         kind = rng.choice(["fill", "fill", "fill", "void", "note", "pin_text", "begin", "finish", "burn"])
         if kind == "fill":
             eps = [None if rng.random() < 0.1 else rng.randbytes(20) for _ in range(rng.randint(1, 3))]
-            return "fill", owner, list(enumerate(eps, filled))
+            text = (rng.randbytes(9),) if self.text is None and rng.random() < 0.1 else ()
+            return "fill", owner, list(enumerate(eps, filled)), *text
         if kind == "void" and filled and rng.random() < 0.5:
             return "void", owner, rng.sample(range(filled), rng.randint(1, min(2, filled)))
         if kind == "note":
-            free = [
-                slot
-                for slot in range(filled)
-                if self.eps[owner][slot] is not None and self.notes[owner][slot] is None
-            ]
-            return ("note", owner, {rng.choice(free): rng.randbytes(5)}) if free else None
+            notes = self._random_notes(rng)
+            return ("note", notes) if any(notes) else None
         if kind == "pin_text" and self.text is None:
             return "pin_text", rng.randbytes(9)
         if kind == "finish" and self.flight is not None:
@@ -159,15 +161,26 @@ class Model:
                     if columns > self.done[1]
                     else None
                 )
+            if kind == "begin" and strip and rng.random() < 0.5:
+                return kind, strip, self._random_notes(rng)
             return strip and (kind, strip)
         return None
+
+    def _random_notes(self, rng):
+        """Notes of a slot or none of each party."""
+        notes = []
+        for eps, held in zip(self.eps, self.notes, strict=True):
+            free = [slot for slot, note in enumerate(held) if eps[slot] is not None and note is None]
+            some = free and rng.random() < 0.7
+            notes.append({rng.choice(free): rng.randbytes(5)} if some else {})
+        return tuple(notes)
 
 
 def run(ledger: Ledger, action, *values):
     """Do one operation of :meth:`Model.apply` on a ledger."""
-    if action in ("fill", "void", "note"):
-        owner, rest = values
-        getattr(ledger.slots[owner], action)(rest)
+    if action in ("fill", "void"):
+        owner, *rest = values
+        getattr(ledger.slots[owner], action)(*rest)
     else:
         getattr(ledger, action)(*values)
 

@@ -137,7 +137,7 @@ def test_descriptors_are_read_back_from_slots_that_were_filled_and_not_prepared(
 def offered(terms, answer, filled=0, capacity=1 << 16):
     """What a side makes of an offer."""
     header = SimpleNamespace(party=0, capacity=(capacity, capacity))
-    side = Filling(SimpleNamespace(header=header), terms, None, (None, None), None, [])
+    side = Filling(SimpleNamespace(header=header), terms, None, (None, None), None, b"", [])
     return side._read_offer({"from": filled, "void": [], "more": False} | answer, filled)
 
 
@@ -260,5 +260,5 @@ def test_what_is_dealt_or_waits_is_in_no_repr():
     keys = BandKeys.fresh((1, 2))
     assert repr(keys.of[0][0][0]) not in repr(keys)
     waiting = [np.array([123456, 654321])]
-    text = repr(Filling(None, None, None, (None, None), None, waiting))
+    text = repr(Filling(None, None, None, (None, None), None, b"", waiting))
     assert "123456" not in text and "654321" not in text

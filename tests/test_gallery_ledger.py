@@ -12,6 +12,7 @@ from ledger_helpers import TAPE, Model, facts, head, mark_of, open_ledger, run
 
 from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError, TapeInUse, TapeMismatch
 from spdz.gallery.ledger import Ledger
+from spdz.gallery.mark_file import MarkFile
 from spdz.gallery.strip import Strip
 
 TEXT = b"S10 at 0.8"
@@ -20,7 +21,7 @@ A, B, C = b"a" * 30, b"b" * 30, b"c" * 30
 
 @pytest.fixture(autouse=True)
 def no_sync(quick_disk, monkeypatch):
-    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("journal_mode=TRUNCATE", "synchronous=OFF"))
+    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("synchronous=OFF",))
 
 
 @pytest.fixture
@@ -62,7 +63,7 @@ def test_everything_survives_closing(folder):
     with open_ledger(folder) as ledger:
         ledger.slots[0].fill([(0, A), (1, None), (2, B)])
         ledger.slots[1].fill([(0, C)])
-        ledger.slots[0].note({2: b"proof", 0: b""})
+        ledger.note(({2: b"proof", 0: b""}, {}))
         ledger.pin_text(TEXT)
         ledger.begin(strip((0, 2), (0, 1)))
         ledger.commit(strip((0, 2), (0, 1)), b"yes")
@@ -110,13 +111,13 @@ def test_filling_nothing_writes_nothing(ledger, folder):
     before = mark_of(folder).read_bytes()
     ledger.slots[0].fill([])
     ledger.slots[0].void([])
-    ledger.slots[0].note({})
+    ledger.note(({}, {}))
     assert mark_of(folder).read_bytes() == before
 
 
 def test_void_slots_stay_void_and_change_the_heads_as_if_always_void(ledger, folder):
     fill(ledger, 4, 1)
-    ledger.slots[0].note({1: b"n"})
+    ledger.note(({1: b"n"}, {}))
     ledger.slots[0].void([2, 1])
     kept = [b"0 0", None, None, b"0 3"]
     assert ledger.slots[0].eps(0, 4) == kept
@@ -124,7 +125,7 @@ def test_void_slots_stay_void_and_change_the_heads_as_if_always_void(ledger, fol
     assert ledger.slots[0].noted(1) is None
     assert [ledger.slots[0].head(k) for k in range(5)] == [head(0, kept[:k]) for k in range(5)]
     with pytest.raises(ValueError, match="takes no note"):
-        ledger.slots[0].note({1: b"n"})
+        ledger.note(({1: b"n"}, {}))
     before = mark_of(folder).read_bytes()
     ledger.slots[0].void([1])
     assert mark_of(folder).read_bytes() == before
@@ -136,7 +137,7 @@ def test_slots_that_are_not_filled_have_nothing(ledger, slot):
     slots = ledger.slots[1]
     for use in (
         lambda: slots.void([slot]),
-        lambda: slots.note({slot: b""}),
+        lambda: ledger.note(({}, {slot: b""})),
         lambda: slots.noted(slot),
         lambda: slots.eps(slot, slot + 1),
     ):
@@ -146,11 +147,66 @@ def test_slots_that_are_not_filled_have_nothing(ledger, slot):
 
 def test_note_is_kept_for_ever(ledger):
     fill(ledger, 2, 0)
-    ledger.slots[0].note({0: b"x"})
-    ledger.slots[0].note({0: b"x", 1: b"y"})
+    ledger.note(({0: b"x"}, {}))
+    ledger.note(({0: b"x", 1: b"y"}, {}))
     with pytest.raises(TapeMismatch, match="slot 0 of party 0"):
-        ledger.slots[0].note({0: b"z"})
+        ledger.note(({0: b"z"}, {}))
     assert [ledger.slots[0].noted(slot) for slot in (0, 1)] == [b"x", b"y"]
+
+
+def test_notes_of_both_parties_and_the_strip_after_them_are_one_step(ledger, folder):
+    fill(ledger, 2, 2)
+    ledger.pin_text(TEXT)
+    before = sequence(folder)
+    ledger.begin(strip((0, 2), (0, 2)), ({0: b"x"}, {1: b"y"}))
+    assert sequence(folder) == before + 1
+    assert ledger.flight == strip((0, 2), (0, 2))
+    ledger.note(({1: b"z"}, {0: b"z"}))
+    assert sequence(folder) == before + 2
+    assert [[slots.noted(slot) for slot in (0, 1)] for slots in ledger.slots] == [[b"x", b"z"], [b"z", b"y"]]
+    ledger.begin(strip((0, 2), (0, 2)), ({0: b"x"}, {}))
+    ledger.note(({0: b"x"}, {}))
+    assert sequence(folder) == before + 2
+
+
+def test_refused_notes_or_strips_change_nothing(ledger, folder):
+    fill(ledger, 2, 2)
+    ledger.note(({}, {1: b"y"}))
+    before = sequence(folder), facts(ledger)
+    with pytest.raises(ValueError, match="pin what"):
+        ledger.begin(strip((0, 2), (0, 2)), ({0: b"x"}, {}))
+    assert (sequence(folder), facts(ledger)) == before
+    ledger.pin_text(TEXT)
+    before = sequence(folder), facts(ledger)
+    for error, which, notes in (
+        (TapeMismatch, strip((0, 2), (0, 2)), ({0: b"x"}, {1: b"z"})),
+        (ValueError, strip((0, 2), (0, 2)), ({0: b"x"}, {2: b"z"})),
+        (ValueError, strip((0, 3), (0, 2)), ({0: b"x"}, {})),
+    ):
+        with pytest.raises(error):
+            ledger.begin(which, notes)
+        assert (sequence(folder), facts(ledger)) == before
+
+
+def test_text_is_pinned_in_the_step_that_fills(ledger, folder):
+    before = sequence(folder)
+    ledger.slots[0].fill([(0, A)], text=TEXT)
+    assert (sequence(folder), ledger.text, ledger.slots[0].filled) == (before + 1, TEXT, 1)
+    with pytest.raises(TapeMismatch, match="pinned to another"):
+        ledger.slots[0].fill([(1, A)], text=b"another")
+    assert ledger.slots[0].filled == 1
+    ledger.slots[0].fill([], text=TEXT)
+    assert sequence(folder) == before + 1
+
+
+def test_text_is_pinned_even_if_nothing_is_filled_with_it(ledger):
+    ledger.slots[0].fill([], text=TEXT)
+    assert (ledger.text, ledger.slots[0].filled) == (TEXT, 0)
+
+
+def sequence(folder):
+    """How many durable steps there were."""
+    return MarkFile(folder / "state", TAPE, 0).read().sequence
 
 
 def test_text_is_pinned_once(folder):
@@ -336,12 +392,12 @@ def test_mark_that_is_behind_is_brought_up(folder):
         fill(ledger, 1, 0, (2, 2))
         ledger.slots[1].void([0])
         before = facts(ledger)
-        new = mark_of(folder).read_bytes()
+        new = MarkFile(folder / "state", TAPE, 0).read()
     mark_of(folder).write_bytes(old)
     with open_ledger(folder) as ledger:
         assert not ledger.rolled_back
         assert facts(ledger) == before
-    assert mark_of(folder).read_bytes() == new
+    assert MarkFile(folder / "state", TAPE, 0).read() == new
 
 
 @pytest.mark.parametrize("more_here", [0, 1, 2])
@@ -364,6 +420,10 @@ def text(data):
 
 def slots(action, *values):
     return lambda ledger: getattr(ledger.slots[0], action)(*values)
+
+
+def note(notes):
+    return lambda ledger: ledger.note((notes, {}))
 
 
 FILLED = slots("fill", [(0, A), (1, B)])
@@ -390,8 +450,8 @@ def burn(rows):
         ([slots("fill", [(0, A)])], [FILLED]),
         ([FILLED], [slots("fill", [(0, B), (1, B)]), slots("void", [1])]),
         ([FILLED, *MORE], [FILLED, slots("void", [0])]),
-        ([FILLED, *MORE], [FILLED, slots("note", {0: b"n"})]),
-        ([FILLED, slots("note", {0: b"n"})], [FILLED, *MORE]),
+        ([FILLED, *MORE], [FILLED, note({0: b"n"})]),
+        ([FILLED, note({0: b"n"})], [FILLED, *MORE]),
         ([FILLED, slots("void", [1])], [FILLED, *MORE]),
     ],
 )
@@ -515,7 +575,7 @@ def change(folder, statement):
     """A ledger with some of everything, changed behind its back."""
     with open_ledger(folder) as ledger:
         fill(ledger, 3, 3)
-        ledger.slots[0].note({1: b"n", 2: b"m"})
+        ledger.note(({1: b"n", 2: b"m"}, {}))
         ledger.pin_text(TEXT)
         for which in (strip((0, 1), (0, 2)), strip((1, 2), (0, 2))):
             ledger.begin(which)
@@ -556,7 +616,8 @@ def test_commits_are_synced(folder, monkeypatch):
     with open_ledger(folder) as ledger:
         base = ledger._journal._store
         assert base.all("PRAGMA synchronous") == [(2,)]
-        assert base.all("PRAGMA journal_mode") == [("truncate",)]
+        assert base.all("PRAGMA journal_mode") == [("wal",)]
+        assert base.all("PRAGMA wal_autocheckpoint") == [(1000,)]
         assert base.all("PRAGMA fullfsync") == [(1,)]
 
 
@@ -581,7 +642,7 @@ def test_mark_that_cannot_be_written_says_what_to_do(folder, monkeypatch):
     def fail(*args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("spdz.gallery.mark.replace_file", fail)
+    monkeypatch.setattr("spdz.gallery.mark_file.write_at", fail)
     with pytest.raises(TapeError, match=r"beef-0\.gallery \(No space left .* Nothing was sent"):
         fill(ledger, 1, 0)
     with pytest.raises(TapeError, match="open it again"):
@@ -623,7 +684,7 @@ def test_threads_may_share_a_ledger(ledger):
 
     def note(slots):
         for slot in slots:
-            ledger.slots[0].note({slot: b"%d" % slot})
+            ledger.note(({slot: b"%d" % slot}, {}))
 
     threads = [threading.Thread(target=note, args=(range(k, 40, 4),)) for k in range(4)]
     for thread in threads:
@@ -655,8 +716,8 @@ for _ in range(40):
             ledger.slots[1].fill([(0, b"fork")])
         except TapeInUse:
             ledger.close()
-            ledger._journal._store._base.close()  # as garbage collection does in the end
-            os._exit(7)
+            del ledger
+            sys.exit(7)  # with garbage collection
         os._exit(1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
 ended.set()

@@ -18,6 +18,7 @@ from spdz.arithmetic import field
 from spdz.arithmetic.field import P
 from spdz.arithmetic.weighted import bilinear
 from spdz.foundations.errors import SpdzError
+from spdz.gallery.ledger import NO_NOTES
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
 from spdz.rounds.mac_check import MacCheck
@@ -222,17 +223,17 @@ def test_proofs_come_before_cells(galleries, evil):
     """Proved only when the cells are done, a cheater's bits are out before it is refused."""
     prepare, unproved = GallerySession._prepare, GallerySession._refuse_unproved
 
-    def late(self, session, step, on_block):
+    def late(self, session, step, on_block, notes):
         held = []
         session._refuse_unproved = lambda *arguments: held.append(arguments)
-        prepare(session, step.filling.stats)
-        compare(self, session, step, on_block)
+        notes = prepare(session, step.filling.stats)
+        compare(self, session, step, on_block, notes)
         for arguments in held:
             unproved(session, *arguments)
 
     compare = Comparing.new
     with ExitStack() as stack:
-        stack.enter_context(patch.object(GallerySession, "_prepare", lambda self, stats: None))
+        stack.enter_context(patch.object(GallerySession, "_prepare", lambda self, stats: NO_NOTES))
         stack.enter_context(patch.object(Comparing, "new", late))
         found = duel(galleries(TERMS, SLOTS), vectors(), evil, huge(evil))
     assert found.error == "ProtocolViolation" and found.seen

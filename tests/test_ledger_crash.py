@@ -19,7 +19,7 @@ KILLED = 9
 @pytest.fixture
 def no_sync(quick_disk, monkeypatch):
     """Killing a process loses nothing that it wrote."""
-    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("journal_mode=TRUNCATE", "synchronous=OFF"))
+    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("synchronous=OFF",))
 
 
 def states(actions):
@@ -40,7 +40,7 @@ def child(folder, actions, returned, stop_at=None):
             if next(steps) == stop_at:
                 os._exit(KILLED)
 
-        for name in ("pwrite", "replace", "fsync"):
+        for name in ("pwrite", "replace", "fsync", "fdatasync"):
             watch(name, step)
         connect = sqlite3.connect
 

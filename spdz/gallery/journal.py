@@ -15,7 +15,8 @@ from pathlib import Path
 
 from spdz.foundations.errors import TapeDamaged, TapeDestroyed, TapeError, TapeInUse, TapeMismatch
 from spdz.gallery.heads import extended, first_head
-from spdz.gallery.mark import Mark, MarkFile
+from spdz.gallery.mark import MAX_TEXT, Mark
+from spdz.gallery.mark_file import MarkFile
 from spdz.gallery.recovery import Digests, check_ahead, recovery
 from spdz.gallery.runs import joined, runs_of
 from spdz.gallery.store import AT_WORK, Change, Store, damage, disk_errors, slot_key, strip_row
@@ -96,6 +97,23 @@ class Journal:
         self._marks.write(mark)
         self._mark, self._ready = mark, True
 
+    def pinned(self, text: bytes) -> Mark:
+        """The record with the program's text pinned; the record itself if it is so already.
+
+        Raises:
+            TapeMismatch: Another one is pinned.
+            ValueError: It is longer than 65,536 bytes.
+        """
+        if len(text) > MAX_TEXT:
+            raise ValueError(f"a text has at most {MAX_TEXT} bytes, not {len(text)}")
+        mark = self.mark
+        if mark.text not in (None, text):
+            raise TapeMismatch(
+                f"{self.path}: this gallery is pinned to another program, threshold or "
+                "resolution, and its masks must never answer two. Use those, or deal new tapes"
+            )
+        return mark if mark.text is not None else replace(mark, text=text)
+
     def digests(self, owner: int, start: int = 0) -> list[bytes | None]:
         """Of a party's slots from ``start`` on; None for void ones."""
         where = slot_key(owner, start), slot_key(owner + 1, 0)
@@ -140,6 +158,8 @@ class Journal:
         if record.destroyed or (marked is not None and marked.destroyed):
             self._destroy(record)
             raise self._is_destroyed()
+        if marked is not None and self._marks.torn and record.sequence <= marked.sequence:
+            raise self._marks.damaged()
         with damage():
             digests = self._check(record)
         self.heads = tuple(extended(heads, held) for heads, held in zip(self.heads, digests, strict=True))

@@ -25,12 +25,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
-from spdz.foundations.errors import TapeMismatch
 from spdz.gallery.journal import STRIP, Journal
-from spdz.gallery.mark import MAX_TEXT, Mark
-from spdz.gallery.slots import Slots
-from spdz.gallery.store import damage, strip_row, unsealed
+from spdz.gallery.mark import Mark
+from spdz.gallery.slots import Notes, Slots
+from spdz.gallery.store import Change, Store, damage, strip_row, unsealed
 from spdz.gallery.strip import Rectangle, Strip, grown
+
+NO_NOTES: tuple[Notes, Notes] = ({}, {})
 
 
 class Ledger:
@@ -87,17 +88,10 @@ class Ledger:
             TapeMismatch: Another one is pinned.
             ValueError: It is longer than 65,536 bytes.
         """
-        if len(text) > MAX_TEXT:
-            raise ValueError(f"a text has at most {MAX_TEXT} bytes, not {len(text)}")
         with self._journal.at_work():
-            mark = self._journal.mark
-            if mark.text not in (None, text):
-                raise TapeMismatch(
-                    f"{self._journal.path}: this gallery is pinned to another program, threshold or "
-                    "resolution, and its masks must never answer two. Use those, or deal new tapes"
-                )
-            if mark.text is None:
-                self._journal.step(replace(mark, text=text), [])
+            mark = self._journal.pinned(text)
+            if mark != self._journal.mark:
+                self._journal.step(mark, [])
 
     @property
     def done(self) -> Rectangle:
@@ -109,20 +103,37 @@ class Ledger:
         """The strip that was begun and neither committed nor burnt."""
         return self._journal.mark.flight
 
-    def begin(self, strip: Strip) -> None:
-        """Use a strip's pairs. Beginning the one in flight once more, to run it again, changes nothing.
+    def note(self, notes: tuple[Notes, Notes]) -> None:
+        """Remember something of slots for ever, such as what the peer sent to prepare them.
+
+        Args:
+            notes: Of slots of party 0 and of party 1.
 
         Raises:
-            ValueError: Another is in flight, it is not beside what is done, its slots are not all filled, or
-                no text is pinned.
+            TapeMismatch: A slot has another note. Nothing was changed.
+            ValueError: A slot is void or not filled.
         """
-        with self._journal.at_work():
+        with self._journal.at_work() as store:
+            self._note(store, notes, self._journal.mark)
+
+    def begin(self, strip: Strip, notes: tuple[Notes, Notes] = NO_NOTES) -> None:
+        """Use a strip's pairs. Beginning the one in flight once more, to run it again, changes nothing.
+
+        Args:
+            strip: Which.
+            notes: To remember in the same step, as by :meth:`note`.
+
+        Raises:
+            TapeMismatch: As :meth:`note`.
+            ValueError: Another is in flight, it is not beside what is done, its slots are not all filled, or
+                no text is pinned; or as :meth:`note`. Nothing was changed.
+        """
+        with self._journal.at_work() as store:
             mark = self._journal.mark
             _refuse_strip(mark, strip)
             if mark.text is None:
                 raise ValueError("pin what the gallery computes before a strip begins")
-            if mark.flight is None:
-                self._journal.step(replace(mark, flight=strip), [])
+            self._note(store, notes, replace(mark, flight=strip))
 
     def commit(self, strip: Strip, results: bytes) -> None:
         """Keep the checked results of the strip in flight. It is done.
@@ -183,6 +194,15 @@ class Ledger:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _note(self, store: Store, notes: tuple[Notes, Notes], mark: Mark) -> None:
+        """Step to ``mark`` with the notes, at work, unless that changes nothing."""
+        changes: list[Change] = []
+        for slots, new in zip(self.slots, notes, strict=True):
+            mark, more = slots.noting(store, mark, new)
+            changes += more
+        if mark != self._journal.mark:
+            self._journal.step(mark, changes)
 
     def _finish(self, strip: Strip, results: bytes | None) -> None:
         mark = self._journal.mark

@@ -7,8 +7,8 @@ then is anything sent: a ledger *behind* its mark was therefore restored, and a 
 crash between the two, when nothing had been sent yet. It cannot help on another machine, nor where both were
 restored together; there the peer's heads do.
 
-File: one line of ASCII, ``spdz-gallery 1 <JSON> <blake2b-16>``, about 500 bytes and 16 more for every run of
-void slots.
+As text: one line of ASCII, ``spdz-gallery 1 <JSON> <blake2b-16>``, about 500 bytes, two more for each byte of
+the program's text and 16 more for every run of void slots; :mod:`spdz.gallery.mark_file` keeps it.
 """
 
 from __future__ import annotations
@@ -16,17 +16,13 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
-from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.gallery.heads import first_head
 from spdz.gallery.runs import Runs, are_runs, joined
 from spdz.gallery.strip import Rectangle, Strip, grown
-from spdz.tape.durable import make_private_folder, replace_file
 
 MAX_TEXT = 1 << 16
-_LONGEST = 1 << 24  # bytes read of a mark file
 _WORD = b"spdz-gallery 1"
 
 
@@ -166,62 +162,4 @@ class Mark:
             and are_runs(side.noted, side.filled)
             and 0 <= done <= side.filled
             for side, done in zip(self.sides, self.done, strict=True)
-        )
-
-
-class MarkFile:
-    """The mark of one gallery and party. The gallery tape's lock keeps copies apart, not this.
-
-    Args:
-        folder: The state folder; created with mode 0700 if missing.
-        tape: The gallery tape's hex id.
-        party: Whose ledger it is.
-    """
-
-    def __init__(self, folder: Path, tape: str, party: int) -> None:
-        self.path = folder / f"{tape}-{party}.gallery"
-        self._of = (tape, party)
-
-    def read(self) -> Mark | None:
-        """The mark, or None for a gallery that was never used here.
-
-        Raises:
-            TapeDamaged: The file is not a whole mark of this gallery.
-            TapeError: It cannot be read.
-        """
-        try:
-            with self.path.open("rb") as file:
-                content = file.read(_LONGEST)
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise self._unusable(error) from error
-        try:
-            mark = Mark.decode(content)
-            if (mark.tape, mark.party) != self._of:
-                raise ValueError("of another gallery")
-        except ValueError as error:
-            raise TapeDamaged(
-                f"{self.path}: the gallery's mark is damaged, so it is unknown which slots were used. "
-                "Deal new tapes for both robots"
-            ) from error
-        return mark
-
-    def write(self, mark: Mark) -> None:
-        """Replace the mark; on return it is on the disk.
-
-        Raises:
-            TapeError: It cannot be written.
-        """
-        try:
-            make_private_folder(self.path.parent)
-            replace_file(self.path, mark.encode())
-        except OSError as error:
-            raise self._unusable(error) from error
-
-    def _unusable(self, error: OSError) -> TapeError:
-        return TapeError(
-            f"cannot keep the gallery's mark {self.path} ({error.strerror}), which is what notices a ledger "
-            "copied back from a backup. Nothing was sent. Pass a state_dir that can be written, or set "
-            "XDG_STATE_HOME to one"
         )

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 from spdz.foundations.errors import TapeMismatch
 from spdz.gallery.heads import digest_of, extended
 from spdz.gallery.journal import BURY, FILL, Journal
-from spdz.gallery.mark import Side
+from spdz.gallery.mark import Mark, Side
 from spdz.gallery.runs import joined, runs_of, slots_in
-from spdz.gallery.store import Store, damage, sealed, slot_key, unsealed
+from spdz.gallery.store import Change, Store, damage, sealed, slot_key, unsealed
+
+Notes: TypeAlias = Mapping[int, bytes]
+"""Slots of a party, and what is to be remembered of each."""
 
 _NOTE = "UPDATE slots SET note = ? WHERE key = ?"
 
@@ -57,30 +61,35 @@ class Slots:
         runs = joined(self._side.void, self._side.noted)
         return runs[0][1] if runs and runs[0][0] == 0 else 0
 
-    def fill(self, entries: Sequence[tuple[int, bytes | None]]) -> None:
+    def fill(self, entries: Sequence[tuple[int, bytes | None]], text: bytes | None = None) -> None:
         """Use the next slots.
 
         Args:
             entries: Slot numbers, from ``filled`` on, and what is sent for each; None: void.
+            text: What the gallery computes, to pin in the same step
+                (:meth:`spdz.gallery.ledger.Ledger.pin_text`).
 
         Raises:
             ValueError: The numbers are not the next.
+            TapeMismatch: Another text is pinned.
         """
         journal = self._journal
         with journal.at_work():
-            side = self._side
+            mark, side = journal.mark if text is None else journal.pinned(text), self._side
             after = side.filled + len(entries)
             if [slot for slot, _ in entries] != list(range(side.filled, after)):
                 raise ValueError(
                     f"slots are filled in order: the next of party {self._owner} is {side.filled}"
                 )
             if not entries:
+                if mark != journal.mark:
+                    journal.step(mark, [])
                 return
             rows = [(slot_key(self._owner, slot), digest_of(eps), eps) for slot, eps in entries]
             heads = extended(journal.heads[self._owner], [digest for _, digest, _ in rows])
             void = joined(side.void, runs_of(slot for slot, eps in entries if eps is None))
             side = replace(side, filled=after, head=heads[-1], void=void)
-            journal.step(journal.mark.with_side(self._owner, side), [(FILL, rows)])
+            journal.step(mark.with_side(self._owner, side), [(FILL, rows)])
             journal.heads[self._owner][:] = heads
 
     def void(self, slots: Iterable[int]) -> None:
@@ -125,34 +134,25 @@ class Slots:
                         raise ValueError(f"the checksum of {self._name(slot)} does not hold")
             return [eps for _, eps in rows]
 
-    def note(self, notes: Mapping[int, bytes]) -> None:
-        """Remember something of slots for ever, such as what the peer sent to prepare them.
-
-        Raises:
-            TapeMismatch: A slot has another note. Nothing was changed.
-            ValueError: A slot is void or not filled.
-        """
-        journal = self._journal
-        with journal.at_work() as store:
-            side = self._side
-            self._refuse_unfilled(notes)
-            if set(notes) & set(slots_in(side.void)):
-                raise ValueError(f"a void slot of party {self._owner} takes no note")
-            held = {slot: self._note(store, slot) for slot in notes}
-            for slot, data in notes.items():
-                if held[slot] not in (None, data):
-                    raise TapeMismatch(
-                        f"{journal.path}: another note was made of {self._name(slot)}. Its masks must not "
-                        "show a second value"
-                    )
-            new = {slot: data for slot, data in notes.items() if held[slot] is None}
-            if not new:
-                return
-            rows = [
-                (sealed(data, self._name(slot)), slot_key(self._owner, slot)) for slot, data in new.items()
-            ]
-            side = replace(side, noted=joined(side.noted, runs_of(new)))
-            journal.step(journal.mark.with_side(self._owner, side), [(_NOTE, rows)])
+    def noting(self, store: Store, mark: Mark, notes: Notes) -> tuple[Mark, list[Change]]:
+        """What it takes to note something, at work: :meth:`spdz.gallery.ledger.Ledger.note`."""
+        side = self._side
+        self._refuse_unfilled(notes)
+        if set(notes) & set(slots_in(side.void)):
+            raise ValueError(f"a void slot of party {self._owner} takes no note")
+        held = {slot: self._note(store, slot) for slot in notes}
+        for slot, data in notes.items():
+            if held[slot] not in (None, data):
+                raise TapeMismatch(
+                    f"{self._journal.path}: another note was made of {self._name(slot)}. Its masks must not "
+                    "show a second value"
+                )
+        new = {slot: data for slot, data in notes.items() if held[slot] is None}
+        if not new:
+            return mark, []
+        rows = [(sealed(data, self._name(slot)), slot_key(self._owner, slot)) for slot, data in new.items()]
+        side = replace(side, noted=joined(side.noted, runs_of(new)))
+        return mark.with_side(self._owner, side), [(_NOTE, rows)]
 
     def noted(self, slot: int) -> bytes | None:
         """A slot's note, if it has one; a void slot has none.

@@ -6,18 +6,23 @@
     slots    owner << 32 | slot, SHA-256 of eps (NULL: void), note, eps
     strips   number, rows and columns from and to, results (NULL: burnt)
 
-Rollback journal, truncated at each commit, with ``synchronous=FULL``: when a commit returns, the pages are on
-the disk, and so is the journal's new length (SQLite's pager syncs it, ``pager_end_transaction``; Mozilla bug
-1072773). Unlike a write-ahead log it leaves one file at rest, which is copied whole, and no lock in the
-connection that a fork would take along. Notes and results carry a checksum that binds them to their place;
-slots are held by the record's heads.
+Write-ahead log with ``synchronous=FULL``: a commit appends to ``NAME-wal`` and syncs that, once; when it
+returns, the step is on the disk. From 1,000 pages (4 MB) on, the log is written back into the file, which is
+synced before the log begins anew ("Write-Ahead Logging", sections 2.1 and 3.2). Closing writes back all, so
+that at rest the file alone is whole. While it is open ``NAME-wal`` and ``NAME-shm`` are there as well, with
+the file's mode, and another process may read with ``mode=ro``. The file without a log that was not written
+back is an older ledger, and so is one whose log ends in a torn step: the mark notices. Notes and results
+carry a checksum that binds them to their place; slots are held by the record's heads.
 
-SQLite must not be forked inside a transaction ("How To Corrupt An SQLite Database File", section 2.6): the
-child would roll the parent's back when it ends. So a fork waits until no ledger of this process is at work.
+SQLite must not be forked inside a transaction ("How To Corrupt An SQLite Database File", section 2.6), so a
+fork waits until no ledger of this process is at work. Nor may a child close what it has inherited: when the
+parent has let go of the file, SQLite would delete the log by its name, a later process's, with all that is in
+it. So the child never does.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import sqlite3
@@ -26,27 +31,40 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeAlias
+from weakref import WeakSet
 
 from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.gallery.mark import Mark
 from spdz.gallery.strip import Strip
-from spdz.tape.durable import create_private, sync_folder
+from spdz.tape.durable import create_private, sync, sync_folder
 
 AT_WORK = Lock()
 """Held while any ledger of this process is at work, and across a fork."""
 
-os.register_at_fork(before=AT_WORK.acquire, after_in_parent=AT_WORK.release, after_in_child=AT_WORK.release)
+_OPEN: WeakSet[Store] = WeakSet()
+
+
+def _keep_in_child() -> None:
+    """Have a forked child never close the parent's connections, not even when it ends."""
+    for store in _OPEN:
+        store.keep()
+    AT_WORK.release()
+
+
+os.register_at_fork(before=AT_WORK.acquire, after_in_parent=AT_WORK.release, after_in_child=_keep_in_child)
 
 Change: TypeAlias = tuple[str, Sequence[tuple[object, ...]]]
 """An SQL statement and the rows to run it with."""
 
 _APPLICATION = 0x73706C67  # "splg"
 _DIGEST = 16
+_LOG_PAGES, _PAGE = 1000, 4096
 _SETTINGS = (
-    "journal_mode=TRUNCATE",
     "synchronous=FULL",
-    "fullfsync=ON",
-)  # fullfsync: as durable.sync on macOS
+    "fullfsync=ON",  # as durable.sync on macOS
+    f"wal_autocheckpoint={_LOG_PAGES}",
+    f"journal_size_limit={_LOG_PAGES * _PAGE}",
+)
 _TABLES = (
     "CREATE TABLE record (id INTEGER PRIMARY KEY CHECK (id = 0), mark BLOB NOT NULL)",
     "CREATE TABLE slots (key INTEGER PRIMARY KEY, digest BLOB, note BLOB, eps BLOB)",
@@ -72,11 +90,14 @@ class Store:
         with suppress(FileExistsError):
             os.close(create_private(path))
             sync_folder(path.parent)
+        _sync_log(path)
         self._base = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
             for setting in _SETTINGS:
                 self.all(f"PRAGMA {setting}")
             tables = self.all("SELECT count(*) FROM sqlite_master")  # finishes an interrupted commit
+            if self._journal_mode() != "wal":  # new, or stopped before it was
+                self._journal_mode("TRUNCATE")  # unlike DELETE durable when a commit returns (pager.c)
             if path.stat().st_size == 0:
                 with self._transaction():
                     for statement in (f"PRAGMA application_id={_APPLICATION}", *_TABLES):
@@ -84,9 +105,12 @@ class Store:
                     self._base.execute("INSERT INTO record VALUES (0, ?)", [first.encode()])
             elif tables == [(0,)] or self.all("PRAGMA application_id") != [(_APPLICATION,)]:
                 raise sqlite3.DatabaseError("another application's data base")
+            if self._journal_mode("WAL") != "wal":
+                raise sqlite3.OperationalError("its file system has no shared memory for a write-ahead log")
         except BaseException:
             self._base.close()
             raise
+        _OPEN.add(self)
 
     def all(self, query: str, *values: object) -> list[Any]:
         """All rows of a query: a cursor left half read would keep a lock on the file."""
@@ -108,9 +132,18 @@ class Store:
                 self._base.executemany(statement, rows)
             self._base.execute("UPDATE record SET mark = ?", [mark.encode()])
 
+    def keep(self) -> None:
+        """Never close the connection in this process, not even when nothing refers to it any more."""
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._base))
+
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; the log is written back first, also while another process reads."""
+        with suppress(sqlite3.Error):  # closed, or the disk fails: what the log has is durable there
+            self.all("PRAGMA wal_checkpoint(TRUNCATE)")
         self._base.close()
+
+    def _journal_mode(self, wanted: str = "") -> str:
+        return str(self.all(f"PRAGMA journal_mode{wanted and f'={wanted}'}")[0][0])
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -122,6 +155,18 @@ class Store:
             with suppress(sqlite3.Error):
                 self._base.execute("ROLLBACK")
             raise
+
+
+def _sync_log(path: Path) -> None:
+    """A killed process may have left steps in the log that the disk has not, and SQLite believes them."""
+    log = path.with_name(f"{path.name}-wal")
+    with suppress(FileNotFoundError):
+        descriptor = os.open(log, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            sync(descriptor)
+        finally:
+            os.close(descriptor)
+        sync_folder(path.parent)
 
 
 def slot_key(owner: int, slot: int) -> int:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 from typing import Protocol as Interface
 
 from spdz.foundations.errors import Wrapped
 from spdz.foundations.stats import Stats
-from spdz.gallery.ledger import Ledger
+from spdz.gallery.ledger import NO_NOTES, Ledger
+from spdz.gallery.slots import Notes
 from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms, compare
@@ -68,33 +69,52 @@ class Comparing:
     shelves: tuple[Shelf, Shelf]
     again: list[Strip] = field(default_factory=list)
 
-    def new(self, connection: Connection, step: Step, on_block: Callable[[Block], None]) -> None:
+    def new(
+        self,
+        connection: Connection,
+        step: Step,
+        on_block: Callable[[Block], None],
+        notes: tuple[Notes, Notes] = NO_NOTES,
+    ) -> None:
         """Compare all pairs of filled slots that are not done.
 
         Args:
             connection: The session.
             step: Takes the results.
             on_block: Called with every block as soon as it is checked and durable.
+            notes: What the ledger is still to remember of the slots; it does before anything is sent.
         """
+        for strip in self._strips():
+            self._run_strip(strip, connection, step, on_block, notes)
+            notes = NO_NOTES
+        self.ledger.note(notes)
+
+    def _strips(self) -> Iterator[Strip]:
+        """What is broken off or not done, read on when the strip before is done."""
         while self.again:
-            self._run_strip(self.again.pop(0), connection, step, on_block)
+            yield self.again.pop(0)
         first, second = self.ledger.slots
         for strip in between(self.ledger.done, (first.filled, second.filled)):
-            for piece in pieces(strip, self._most_pairs):
-                self._run_strip(piece, connection, step, on_block)
+            yield from pieces(strip, self._most_pairs)
 
     @property
     def _most_pairs(self) -> int:
         return max(1, min(STRIP_PAIRS, CELL_BYTES // max(1, *self.plan.pair.correction_bytes)))
 
     def _run_strip(
-        self, strip: Strip, connection: Connection, step: Step, on_block: Callable[[Block], None]
+        self,
+        strip: Strip,
+        connection: Connection,
+        step: Step,
+        on_block: Callable[[Block], None],
+        notes: tuple[Notes, Notes],
     ) -> None:
         """Compare a strip, keep its results, then show them."""
         kept = within(strip, self.ledger.done)  # the peer has missed it
-        if not kept:
-            self.ledger.pin_text(self.plan.text.encode())
-            self.ledger.begin(strip)
+        if kept:
+            self.ledger.note(notes)
+        else:
+            self.ledger.begin(strip, notes)
         stats, (first, second) = step.comparing.stats, (set(slots.voids) for slots in self.ledger.slots)
         parts: list[Cell] = []
         try:

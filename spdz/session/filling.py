@@ -44,6 +44,7 @@ class Filling:
         ledger: What was filled.
         shelves: The slots of party 0 and of party 1.
         channel: The connection.
+        text: What the gallery computes.
         waiting: Quantised descriptors that the next step brings.
         sent: Own slots that the peer has.
     """
@@ -53,6 +54,7 @@ class Filling:
     ledger: Ledger
     shelves: tuple[Shelf, Shelf]
     channel: Channel
+    text: bytes
     waiting: list[IntArray] = field(repr=False)
     sent: int = 0
 
@@ -79,6 +81,8 @@ class Filling:
     def exchange(self, agreement: Agreement, step: Step) -> bool:
         """Tell, fill, send and keep the new slots of both sides.
 
+        Once any slot is filled the text is pinned, for what is opened then may depend on it.
+
         Returns:
             Whether either side has more to bring.
         """
@@ -104,7 +108,7 @@ class Filling:
         step.filling.stats.bytes_sent += HEADER_BYTES + sum(map(len, frames))
         received = self._received(peer.filled, count, void, reply)
         self.place(1 - self.party, received)  # refuses bad words before they are kept
-        peer.fill(received)
+        peer.fill(received, text=self.text if own.filled or peer.filled or received else None)
         step.peer += [slot for slot, words in received if words is not None]
         self.sent = own.filled
         return bool(self.waiting) or bool(answer["more"])

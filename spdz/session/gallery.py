@@ -23,7 +23,8 @@ from spdz.channels import Channel, FrameKind
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
-from spdz.gallery.ledger import Ledger
+from spdz.gallery.ledger import NO_NOTES, Ledger
+from spdz.gallery.slots import Notes
 from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
@@ -77,10 +78,11 @@ class GallerySession(Lifecycle):
         self._tape, self._ledger, self._terms = tape, ledger, terms
         self._shelves = (Shelf(tape, terms, 0), Shelf(tape, terms, 1))
         self._waiting = [] if waiting is None else waiting
-        self._filling = Filling(tape, terms, ledger, self._shelves, channel, self._waiting)
         self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
+            text = self._plan.text.encode()
+            self._filling = Filling(tape, terms, ledger, self._shelves, channel, text, self._waiting)
             self._comparing = Comparing(tape, terms, self._plan, ledger, self._shelves)
             own = handshake.Hello.of_gallery(tape.header)
             message = channel.exchange(FrameKind.CONTROL, [own.encode()], None)
@@ -170,15 +172,16 @@ class GallerySession(Lifecycle):
             SpdzError: as any session. What was output stays true.
         """
         with self._guard():
-            step, more = Step() if into is None else into, True
+            step, more, notes = Step() if into is None else into, True, NO_NOTES
             self._forget_void(step)
             while more:
                 with step.filling.timed() as stats:
+                    self._ledger.note(notes)
                     more = self._filling.exchange(self._agreement, step)
                     self._begin()
-                    self._prepare(stats)
+                    notes = self._prepare(stats)
                 with step.comparing.timed():
-                    self._comparing.new(self, step, on_block)
+                    self._comparing.new(self, step, on_block, notes)
             return step
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
@@ -210,10 +213,16 @@ class GallerySession(Lifecycle):
                 "restored from another copy. Deal new tapes"
             )
 
-    def _prepare(self, stats: Stats) -> None:
-        """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds."""
+    def _prepare(self, stats: Stats) -> tuple[Notes, Notes]:
+        """Prepare and prove the slots that are not ready on both sides; both parties' in the same rounds.
+
+        Returns:
+            What the ledger must remember of the last of them before anything more is sent.
+        """
+        notes: tuple[dict[int, bytes], dict[int, bytes]] = ({}, {})
         while work := [(shelf, slots) for shelf in self._shelves if (slots := self._unready(shelf.owner))]:
-            self._ledger.pin_text(self._plan.text.encode())  # what is opened may depend on it
+            self._ledger.note(notes)
+            notes = ({}, {})
             check, alpha = self._agreement.mac_check, self._alpha
             parties = [shelf.party(slots, check, alpha, stats) for shelf, slots in work]
             lanes = [shelf.prepare(party, slots) for (shelf, slots), party in zip(work, parties, strict=True)]
@@ -221,8 +230,9 @@ class GallerySession(Lifecycle):
             for (shelf, slots), proofs in zip(work, proved, strict=True):
                 self._refuse_unproved(shelf.owner, slots, proofs)
             for (shelf, slots), party in zip(work, parties, strict=True):
-                self._ledger.slots[shelf.owner].note(dict(zip(slots, party.notes(len(slots)), strict=True)))
+                notes[shelf.owner].update(zip(slots, party.notes(len(slots)), strict=True))
                 self._ready[shelf.owner] = slots[-1] + 1
+        return notes
 
     def _unready(self, owner: int) -> list[int]:
         slots = self._ledger.slots[owner]

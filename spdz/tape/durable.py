@@ -9,6 +9,7 @@ import errno
 import fcntl
 import os
 import secrets
+import sys
 import time
 from pathlib import Path
 
@@ -32,6 +33,14 @@ def sync(descriptor: int) -> None:
         except OSError:  # not supported by every file system
             pass
     os.fsync(descriptor)
+
+
+def sync_data(descriptor: int) -> None:
+    """As :func:`sync`, for bytes that were overwritten in place: the file's times may stay behind."""
+    if sys.platform == "linux":
+        os.fdatasync(descriptor)
+    else:
+        sync(descriptor)
 
 
 def sync_folder(folder: Path) -> None:
