@@ -18,7 +18,8 @@ from pathlib import Path
 from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.gallery import keys
 from spdz.gallery.format import GalleryHeader, GalleryLayout, read_gallery_header
-from spdz.gallery.mark import Mark, MarkFile
+from spdz.gallery.mark import Mark
+from spdz.gallery.mark_file import MarkFile
 from spdz.gallery.runs import slots_in
 from spdz.gallery.strip import Rectangle, Strip
 from spdz.gallery.table import KeyTable
@@ -185,7 +186,9 @@ def _status(descriptor: int, path: Path, folder: Path) -> GalleryStatus:
 
 def _read_ledger(path: Path, header: GalleryHeader) -> tuple[Mark | None, int | None]:
     """The ledger's record, and how many pairs were burnt; neither if a commit was cut off."""
-    where = f"{path.absolute().as_uri()}?mode=ro"
+    # A log beside it is there while the ledger is open; without one, nothing beside it is to be made.
+    has_log = path.with_name(f"{path.name}-wal").exists()
+    where = f"{path.absolute().as_uri()}?mode=ro{'' if has_log else '&immutable=1'}"
     try:
         with closing(sqlite3.connect(where, uri=True, isolation_level=None)) as base:
             base.execute("BEGIN")  # both at one moment
