@@ -24,8 +24,10 @@ from gallery_session_helpers import (
 
 from spdz.foundations.errors import SpdzError, TapeMismatch
 from spdz.gallery.journal import Journal
+from spdz.gallery.ledger import Ledger
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
+from spdz.session import filling
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 from spdz.session.filling import Filling
@@ -319,6 +321,52 @@ def test_copies_from_a_backup(galleries, lost):
     for side in (first, second):
         assert (side[side != -1] == right[side != -1]).all()
     assert (first[4:, 4:] != -1).all() and (second[4:, 4:] != -1).all()
+
+
+def test_slots_of_which_the_owner_has_lost_ledger_and_mark_are_void(galleries):
+    """Restored to before they were filled, it would mask others with masks that the peer has words of."""
+    terms, vectors = Terms(Product(), DIM), data()
+    mission = galleries(terms, (64, 64))
+    no_errors(mission.meet(*[feed([v[:1]]) for v in vectors]))
+    backup = mission.copy(mission.folder.with_name("backup-lost"))
+    ends = cables()
+    ends[0].cut = (4, "unsent")  # the peer has the words, and no pair was begun
+    mission.meet(*[feed([v[1:3]]) for v in vectors], channels=ends)
+    shutil.copy(backup.folder / "alice.ledger", mission.folder / "alice.ledger")
+    shutil.rmtree(mission.state(0))
+    shutil.copytree(backup.state(0), mission.state(0))
+    found = no_errors(mission.meet(bring_the_rest([vectors[0][::-1], vectors[1]], ([], []))))
+    (_, rows), _ = found
+    assert sorted(rows) == [0, 3, 4, 5, 6, 7]
+    assert_complete(terms, [vectors[0][::-1], vectors[1]], found, burnt=False)
+
+
+def test_a_side_that_stops_at_a_strip_of_void_slots_is_not_left_behind(galleries, monkeypatch):
+    """Strips without a pair to compare take an exchange all the same."""
+    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 1)
+    terms, vectors = Terms(Product(), DIM), data()
+    mission = galleries(terms, SLOTS)
+    no_errors(mission.meet(*[feed([v[:2]]) for v in vectors]))
+    inside, begin, burnt, stopped = filling.inside, Ledger.begin, [], []
+
+    def four_are_void(words, bits, norm):
+        good = inside(words, bits, norm)
+        if len(burnt) < 4:
+            burnt.append(1)
+            good[0] = False
+        return good
+
+    def stops(ledger, strip):
+        begin(ledger, strip)
+        if ledger._journal.mark.party == 1 and not stopped:
+            stopped.append(strip)
+            raise Stop
+
+    monkeypatch.setattr("spdz.session.filling.inside", four_are_void)
+    monkeypatch.setattr(Ledger, "begin", stops)
+    broken = mission.meet(feed([vectors[0][2:4]]), feed([vectors[1][:0]]))
+    assert isinstance(broken[1], Stop) and stopped[0].rows == range(2, 3)
+    assert_complete(terms, vectors, no_errors(mission.meet(bring_the_rest(vectors, ([], [])))), burnt=False)
 
 
 def test_ledger_and_state_restored_together_are_noticed_by_the_peer(galleries):

@@ -290,6 +290,7 @@ def test_more_slots_than_the_gallery_has_are_refused_before_their_words_are_take
         )
         found = run(galleries, evil, lies, timeout=1.0)
         assert (found.error, len(found.frames)) == ("ProtocolViolation", WORDS)
+        assert "offer of slots" in str(found.outcome)
 
 
 @pytest.mark.parametrize("evil", [0, 1])
