@@ -186,8 +186,8 @@ def _status(descriptor: int, path: Path, folder: Path) -> GalleryStatus:
 
 def _read_ledger(path: Path, header: GalleryHeader) -> tuple[Mark | None, int | None]:
     """The ledger's record, and how many pairs were burnt; neither if a commit was cut off."""
-    # A log beside it is there while the ledger is open; without one, nothing beside it is to be made.
-    has_log = path.with_name(f"{path.name}-wal").exists()
+    # A log is beside it while it is open, or was cut off; without one, nothing beside it is to be made.
+    has_log = any(path.with_name(f"{path.name}-{log}").exists() for log in ("wal", "journal"))
     where = f"{path.absolute().as_uri()}?mode=ro{'' if has_log else '&immutable=1'}"
     try:
         with closing(sqlite3.connect(where, uri=True, isolation_level=None)) as base:

@@ -173,7 +173,8 @@ class GallerySession(Lifecycle):
         """
         with self._guard():
             step, more, notes = Step() if into is None else into, True, NO_NOTES
-            self._forget_void(step)
+            mine, theirs = (self._ledger.slots[owner].voids for owner in (self.party, 1 - self.party))
+            step.forget(mine, theirs)
             while more:
                 with step.filling.timed() as stats:
                     self._ledger.note(notes)
@@ -190,12 +191,6 @@ class GallerySession(Lifecycle):
             return self._agreement.note(note)
 
     # -- the parts of a step -------------------------------------------------------------------------
-
-    def _forget_void(self, step: Step) -> None:
-        """Of a step that an earlier session has begun, the slots that were lost since."""
-        for slots, owner in ((step.own, self.party), (step.peer, 1 - self.party)):
-            void = set(self._ledger.slots[owner].voids)
-            slots[:] = [slot for slot in slots if slot not in void]
 
     def _begin(self) -> None:
         """Bind the checks that follow to everything that both sides hold."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -84,6 +84,11 @@ class Step:
         for phase in (self.filling, self.comparing):
             total.add(phase.stats)
         return total
+
+    def forget(self, own: Collection[int], peer: Collection[int]) -> None:
+        """Leave out slots that were lost since an earlier session has begun this step."""
+        self.own[:] = [slot for slot in self.own if slot not in own]
+        self.peer[:] = [slot for slot in self.peer if slot not in peer]
 
     @property
     def matches(self) -> list[tuple[int, int]]:
