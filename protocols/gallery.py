@@ -10,6 +10,7 @@ number.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -27,6 +28,7 @@ from spdz.readings.gallery import Terms
 from spdz.session import Block, GallerySession, Step, open_gallery
 from spdz.session.admission import quantised
 from spdz.session.connect import check_where
+from spdz.session.stored import Stored
 from spdz.session.turn import Turn
 
 Self = TypeVar("Self", bound="Gallery")
@@ -119,8 +121,14 @@ class Gallery(Reconnecting[GallerySession]):
         try:
             if error is None:
                 self.finish()
+            else:
+                self.abandon(error)
         finally:
             self.close()
+
+    def abandon(self, error: BaseException) -> None:
+        """End because of an error of this side's own; the peer is told that this side stopped."""
+        self._hang_up(error)
 
     @property
     def header(self) -> GalleryHeader:
@@ -142,17 +150,35 @@ class Gallery(Reconnecting[GallerySession]):
 
     @property
     def room(self) -> int:
-        """Own slots that are neither used nor waited for; the peer must have been reached."""
-        return max(0, self._reached.room - len(self._added))
+        """Own slots that are neither used nor waited for."""
+        with self._holding() as holder:
+            waiting = len(self._waiting) if isinstance(holder, Stored) else 0
+            return max(0, holder.room - waiting - len(self._added))
 
     @property
     def unfinished(self) -> bool:
-        """Whether pairs wait that an earlier step was to compare; the peer must have been reached."""
-        return self._reached.unfinished
+        """Whether pairs wait that an earlier step was to compare."""
+        with self._holding() as holder:
+            return holder.unfinished
 
     def check(self, descriptors: npt.ArrayLike) -> None:
-        """Raise :class:`ValueError` if these descriptors do not suit the gallery."""
+        """Refuse descriptors, or a rule, that do not suit the gallery, before the peer is looked for.
+
+        Raises:
+            ValueError: for descriptors that do not suit.
+            TapeMismatch: if the gallery has answered another threshold or program.
+        """
         quantised(self._terms, descriptors)
+        with self._holding():
+            pass
+
+    def require_room(self, more: int) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
+        if more > self.room:
+            raise TapeExhausted(
+                f"this gallery has {self.room} slots left for {self._header.name} and {more} are needed. "
+                f"Nothing was used. Deal more: {self._header.dealer_command}"
+            )
 
     def connect(self) -> None:
         """Reach the peer now, within ``wait`` seconds, instead of with the first step."""
@@ -196,25 +222,27 @@ class Gallery(Reconnecting[GallerySession]):
             return step
 
     def results(self) -> Iterator[Block]:
-        """All results so far, of earlier runs too, strip by strip; the peer must have been reached."""
-        return self._reached.results()
+        """All results so far, of earlier runs too, strip by strip."""
+        with self._holding() as holder:
+            yield from holder.results()
 
     @property
     def filled(self) -> list[int]:
-        """Own slots that hold a descriptor, of earlier runs too; the peer must have been reached."""
-        return self._reached.filled
+        """Own slots that hold a descriptor, of earlier runs too."""
+        with self._holding() as holder:
+            return holder.filled
 
     def holds(self, descriptors: npt.ArrayLike) -> int:
         """How many descriptors this side has brought or will, if they are the first of these, in order.
 
-        The peer must have been reached. Descriptors count whose slots were lost half prepared: the next step
-        brings them once more.
+        Descriptors count whose slots were lost half prepared: the next step brings them once more.
 
         Raises:
             ValueError: if they are not.
         """
         raw = quantised(self._terms, descriptors)
-        held = [*self._reached.plain(self.filled), *self._waiting, *self._added]
+        with self._holding() as holder:
+            held = [*holder.plain(holder.filled), *self._waiting, *self._added]
         if len(raw) < len(held) or not np.array_equal(raw[: len(held)], np.reshape(held, (-1, raw.shape[1]))):
             raise ValueError(
                 f"the gallery holds {len(held)} descriptors already, and they are not the first {len(held)} "
@@ -236,15 +264,21 @@ class Gallery(Reconnecting[GallerySession]):
         try:
             with self._turn:
                 self._see_through(min(self._wait, FAREWELL), self._part)
-        except (ChannelError, OutOfStep) as error:
+        except OutOfStep:
+            self._on_event(f"{self._header.peer} goes on without this robot")
+        except ChannelError as error:
             self._on_event(f"ended without {self._header.peer}: {error}")
         self._number = None
 
-    @property
-    def _reached(self) -> GallerySession:
-        if self._session is None:
-            raise ValueError("a gallery is read on an open connection: call connect() or step() first")
-        return self._session
+    @contextmanager
+    def _holding(self) -> Iterator[GallerySession | Stored]:
+        """The open session, or what is stored."""
+        if self._session is not None:
+            yield self._session
+            return
+        state = self._where["state_dir"]
+        with Stored(Path(self._tape), self._terms, None if state is None else Path(state)) as stored:
+            yield stored
 
     def _open(self, wait: float) -> GallerySession:
         self._fresh = True
@@ -269,14 +303,15 @@ class Gallery(Reconnecting[GallerySession]):
 
     def _part(self, session: GallerySession) -> None:
         self._catch_up(session)
-        session.exchange_note({"step": self._number})
+        session.part(self._number or 0)
 
     def _take_added(self) -> None:
         """Bring what was added until now; refuse it where there is no room, while nothing is lost by it."""
         new = self._added[:]
         del self._added[: len(new)]
         try:
-            self._reached.require_room(len(new))
+            if self._session is not None:
+                self._session.require_room(len(new))
         except TapeExhausted:
             self._waiting.clear()
             raise

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from protocols.catalog import GalleryPurpose, threshold_warning
+from protocols.catalog import GalleryPurpose
 from protocols.descriptors import load_descriptors
 from protocols.gallery import Gallery
 from protocols.memory import in_bytes
+from protocols.thresholds import is_hopeless, threshold_warning
 from spdz.console.command import say_error
 from spdz.console.progress import progress_bar
 from spdz.foundations.errors import ChannelError, SpdzError, TapeDestroyed, TapeInUse
@@ -51,28 +52,37 @@ def run_gallery(options: argparse.Namespace) -> int:
             )
             purpose = GalleryPurpose.from_json(gallery.header.program)
             if warning := threshold_warning(purpose, options.threshold):
+                if is_hopeless(purpose, options.threshold):
+                    raise ValueError(f"{warning}. A gallery answers its first threshold for ever")
                 say(f"warning: {warning}")
+            gallery.check(descriptors)
+            unfinished, held = gallery.unfinished, 0 if options.append else gallery.holds(descriptors)
+            new = len(descriptors) - held
+            gallery.require_room(new)
             say(f"{gallery.rule}: looking for {gallery.header.peer} for {options.wait:g} s", options.quiet)
             with closing(gallery):
-                gallery.check(descriptors)
                 gallery.connect()
-                if gallery.unfinished:
+                if unfinished:
                     say("an earlier run was interrupted: this one goes on where it was", options.quiet)
-                held = 0 if options.append else gallery.holds(descriptors)
                 if held:
-                    new = len(descriptors) - held
                     say(f"the gallery holds {held} of these descriptors, {new} are new", options.quiet)
                 gallery.add(descriptors[held:])
                 started = time.perf_counter()
                 step = gallery.step()
                 seconds = time.perf_counter() - started
-                earlier = list(gallery.results()) if options.all else step.blocks
+                every = list(gallery.results())
+                earlier = every if options.all else step.blocks
+                hidden = len(Step(blocks=every).matches) - len(Step(blocks=step.blocks).matches)
+                if hidden > 0 and not options.all and purpose.reveal == "bit":
+                    say(f"{hidden} matches of earlier runs are not shown: --all", options.quiet)
                 try:
                     more = {"slots_left": gallery.room, "ms": round(seconds * 1e3, 3)}
                     _print(options, gallery, step, earlier, more)
                 finally:
                     gallery.finish()
     except (SpdzError, ValueError, OSError, KeyboardInterrupt) as error:
+        if gallery is not None:
+            gallery.abandon(error)
         _print_failure(options, gallery, error)
         if isinstance(error, KeyboardInterrupt):
             raise

@@ -102,7 +102,7 @@ def _pairs(status: GalleryStatus) -> str:
 
 def _answers(status: GalleryStatus, purpose: GalleryPurpose | None) -> str:
     if status.pinned:
-        return "the program, threshold and resolution of its first comparison, and never others"
+        return f"{status.pinned}, and never anything else"
     if purpose is not None and purpose.reveal == "score":
         return "the score, once there is a first pair"
     return "nothing yet: the first threshold that both robots give stays for ever"

@@ -42,7 +42,7 @@ class GalleryStatus:
         done: The rectangle of pairs that were used, burnt ones included.
         burnt: Pairs that were given up: they have no result. None where the ledger cannot be read without
             mending it: a robot was stopped while it wrote, and will mend it when it opens it.
-        pinned: Whether it is pinned what the gallery answers: threshold, program and resolution.
+        pinned: What the gallery answers and nothing else, in words; None while that is open.
         flight: The strip that was begun and neither finished nor given up.
         has_ledger: Whether there is a ledger beside the tape.
         in_use: Whether a process has the tape, or a copy of it, open.
@@ -57,7 +57,7 @@ class GalleryStatus:
     void: tuple[int, int]
     done: Rectangle
     burnt: int | None
-    pinned: bool
+    pinned: str | None
     flight: Strip | None
     has_ledger: bool
     in_use: bool
@@ -175,7 +175,7 @@ def _status(descriptor: int, path: Path, folder: Path) -> GalleryStatus:
         void=(len(slots_in(now.sides[0].void)), len(slots_in(now.sides[1].void))),
         done=now.done,
         burnt=burnt,
-        pinned=now.text is not None,
+        pinned=None if now.text is None else now.text.decode(errors="replace").partition(" ")[2],
         flight=now.flight,
         has_ledger=has_ledger,
         in_use=in_use,

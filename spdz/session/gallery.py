@@ -33,21 +33,16 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
-from spdz.session.admission import checked_plan, quantised
+from spdz.session.admission import check_rule, checked_plan, pinned_text, quantised
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
+from spdz.session.handshake import shown
 from spdz.session.lifecycle import Lifecycle
 from spdz.session.meeting import PREPARED, Standpoint, meet
 from spdz.session.shelf import Shelf, configured
-from spdz.session.strips import (
-    Block,
-    Step,
-    decode_results,
-    oriented,
-    within,
-)
+from spdz.session.strips import Block, Step, held_slots, stored_blocks, within
 
 
 class GallerySession(Lifecycle):
@@ -81,7 +76,7 @@ class GallerySession(Lifecycle):
         self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
-            text = self._plan.text.encode()
+            text = pinned_text(self._plan, terms)
             self._filling = Filling(tape, terms, ledger, self._shelves, channel, text, self._waiting)
             self._comparing = Comparing(tape, terms, self._plan, ledger, self._shelves)
             own = handshake.Hello.of_gallery(tape.header)
@@ -116,9 +111,7 @@ class GallerySession(Lifecycle):
 
     def results(self) -> Iterator[Block]:
         """All results so far, as they were committed, strip by strip."""
-        for strip, stored in self._ledger.results():
-            results = decode_results(strip, stored, bits=self._plan.bits)
-            yield oriented(self.party, (strip.rows, strip.columns, results))
+        return stored_blocks(self._ledger, self.party, bits=self._plan.bits)
 
     def plain(self, slots: Sequence[int]) -> IntArray:
         """The quantised descriptors in own slots, raw.
@@ -139,9 +132,7 @@ class GallerySession(Lifecycle):
     @property
     def filled(self) -> list[int]:
         """Own slots that hold a descriptor."""
-        own = self._ledger.slots[self.party]
-        void = set(own.voids)
-        return [slot for slot in range(own.filled) if slot not in void]
+        return held_slots(self._ledger, self.party)
 
     def add(self, descriptors: npt.ArrayLike) -> None:
         """Bring descriptors to the next step.
@@ -190,6 +181,15 @@ class GallerySession(Lifecycle):
         with self._guard():
             return self._agreement.note(note)
 
+    def part(self, steps: int) -> None:
+        """Part with the peer after so many steps.
+
+        Raises:
+            OutOfStep: if it goes on.
+        """
+        with self._guard():
+            self._agreement.end(steps)
+
     # -- the parts of a step -------------------------------------------------------------------------
 
     def _begin(self) -> None:
@@ -230,9 +230,7 @@ class GallerySession(Lifecycle):
         return notes
 
     def _unready(self, owner: int) -> list[int]:
-        slots = self._ledger.slots[owner]
-        void = set(slots.voids)
-        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:PREPARED]
+        return [slot for slot in held_slots(self._ledger, owner) if slot >= self._ready[owner]][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -260,17 +258,14 @@ class GallerySession(Lifecycle):
     def _meet(self) -> None:
         """Compare accounts, make void what either has lost, and find the strip that was broken off."""
         own, ledger = Standpoint.of(self._ledger), self._ledger
-        text = self._plan.text
-        if ledger.text not in (None, text.encode()):
-            raise TapeMismatch(
-                "this gallery has answered another threshold, program or resolution, and its masks must "
-                "never answer two: use the same as before, or deal new tapes"
-            )
-        account = {**own.as_json(), "text": text}
+        rule = self._terms.rule
+        account = {**own.as_json(), "text": self._plan.text, "rule": rule[:120]}
         answer = self._agreement.control(account, *account)
-        if answer["text"] != text:
+        check_rule(ledger.text, self._plan, self._terms)
+        if answer["text"] != self._plan.text:
             raise TapeMismatch(
-                "the peer compares with another threshold, program or resolution: give both robots the same"
+                f"the peer computes {shown(answer['rule'], 120)} and this side {rule}: give both robots the "
+                "same threshold and program"
             )
         peer = Standpoint.read(answer, self._tape.header.capacity)
         agreed = meet(own, peer, self.party, self._plan)

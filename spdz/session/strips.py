@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spdz.foundations.stats import Stats
+from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Rectangle, Strip
 
 STRIP_PAIRS = 1 << 16
@@ -165,6 +166,19 @@ def decode_results(strip: Strip, stored: bytes, *, bits: bool) -> Results:
         .astype(np.bool_)
         .reshape(shape)
     )
+
+
+def held_slots(ledger: Ledger, owner: int) -> list[int]:
+    """Slots of one party that hold a descriptor."""
+    slots, void = ledger.slots[owner], set(ledger.slots[owner].voids)
+    return [slot for slot in range(slots.filled) if slot not in void]
+
+
+def stored_blocks(ledger: Ledger, party: int, *, bits: bool) -> Iterator[Block]:
+    """All results that a ledger keeps, as one party sees them, in the order in which they were committed."""
+    for strip, stored in ledger.results():
+        results = decode_results(strip, stored, bits=bits)
+        yield oriented(party, (strip.rows, strip.columns, results))
 
 
 def oriented(party: int, cell: Cell) -> Block:
