@@ -168,8 +168,8 @@ def test_sizes_of_jobs_in_the_reference():
     ("score", "security"), [("S10", "malicious"), ("S10", "semi-honest"), ("S8", "malicious")]
 )
 def test_rounds_of_a_step_are_those_that_the_plan_and_the_how_to_say(galleries, monkeypatch, score, security):
-    """Groups of 3 descriptors and strips of 5 pairs, in place of 128 and 65,536."""
-    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 5)
+    """Groups of 3 descriptors and strips of 6 pairs, in place of 128 and 65,536."""
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
     prepare_at_a_time(monkeypatch, 3)
     purpose, vectors = GalleryPurpose(score, 16), unit_vectors(np.random.default_rng(1), 12, 16)
     cost = gallery_cost(("alice", "bob"), purpose, (300, 300), security, timed=False)
@@ -181,7 +181,7 @@ def test_rounds_of_a_step_are_those_that_the_plan_and_the_how_to_say(galleries, 
     one, both = map(int, re.findall(r"(\d+) (?:rounds )?where", sentence))
     group = int(*(re.findall(r"(\d+) for each further 128 descriptors", sentence) or [0]))
     strip = int(*re.findall(r"(\d+) for each further 65,536 pairs", sentence))
-    brought = [(1, 1), (1, 0), (1, 1), (0, 0), (4, 0)]
+    brought = [(1, 1), (1, 0), (1, 1), (0, 0), (6, 0)]
     parts = [np.split(vectors, np.cumsum([step[i] for step in brought]))[: len(brought)] for i in (0, 1)]
     mission = galleries(purpose.terms(0.5, security), (12, 12))
     for steps in no_errors(mission.meet(feed(parts[0]), feed(parts[1]))):
