@@ -12,6 +12,7 @@ from dealer.plan import in_seconds
 from protocols.catalog import GalleryPurpose
 from protocols.memory import in_bytes
 from spdz.foundations.types import Security
+from spdz.session.meeting import PREPARED
 
 _NAMED = 3  # couples of robots that a sentence names
 _WIDTHS = (18, 14, 12, 16, 16)
@@ -84,10 +85,7 @@ def as_text(
         f"memory: {in_bytes(cost.dealing_memory)} to deal, {in_bytes(cost.matching_memory)} of a robot with "
         "all slots filled, estimated, beside the interpreter's 60 MB"
     )
-    yield (
-        f"a step takes {cost.rounds[0]} round(s) to prepare what is new and {cost.rounds[1]} to compare it, "
-        "however much it is"
-    )
+    yield _rounds(cost)
     lost = [
         *(["the slots that were being prepared"] if cost.slots_lost else []),
         *([f"the pairs that were under way, at most {cost.pairs_together:,}"] if cost.pairs_lost else []),
@@ -101,6 +99,19 @@ def as_text(
     yield "  match  the same for one robot, without the line"
     yield f"one more: a further descriptor against {max(cost.slots)} of the other robot"
     yield "nothing was written"
+
+
+def _rounds(cost: GalleryCost) -> str:
+    """How many rounds a step takes: one to send, and then groups of descriptors and strips of pairs."""
+    prepare, compare = cost.rounds
+    further = [
+        *([f"{prepare} for each further {PREPARED} descriptors of a robot"] * (prepare > 0)),
+        f"{compare} for each further {cost.pairs_together:,} pairs",
+    ]
+    return (
+        f"a step takes {1 + prepare + compare} rounds where one robot brings something, "
+        f"{1 + prepare + 2 * compare} where both do; {' and '.join(further)}"
+    )
 
 
 def _steps(purpose: GalleryPurpose) -> str:

@@ -153,7 +153,9 @@ def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str])
         picture="map.png",
     )
     show(report, 100)
-    found = re.findall(r"│ (.*?) +│ +(\d+) │ +(\d+) │", capsys.readouterr().out)
+    shown = capsys.readouterr().out
+    assert re.search(r"│ a vector's norm +│ at most 1, as was proved │ yes ", shown)
+    found = re.findall(r"│ (.*?) +│ +(\d+) │ +(\d+) │", shown)
     rows = {label: (int(private), int(clear)) for label, private, clear in found}
     parts = ("same place by the pose graph", "1 to 4 m apart, not counted", "another place")
     assert [sum(column) for column in zip(*(rows[part] for part in parts), strict=True)] == [31, 28]

@@ -3,9 +3,13 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from gallery_session_helpers import feed, no_errors, prepare_at_a_time, unit_vectors
 
+from dealer import gallery_report
 from dealer.gallery import gallery_headers
+from dealer.gallery_plan import gallery_cost
 from protocols import is_candidate
 from protocols.catalog import GalleryPurpose
 from protocols.scores import SCORES
@@ -18,6 +22,7 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 COST = (DOCS / "spec" / "protocols.md").read_text(encoding="utf-8").partition("**Cost** of S10 with")[2]
 SIZES = (DOCS / "reference.md").read_text(encoding="utf-8").partition("## Tape sizes")[2]
 JOBS, GALLERIES = SIZES.partition("\n## ")[0].split("**Galleries.**")
+HOW_TO = (DOCS / "how-to.md").read_text(encoding="utf-8")
 FRACTION = 32  # of S10
 
 
@@ -156,3 +161,37 @@ def test_sizes_of_jobs_in_the_reference():
                     for program in (is_candidate(SCORES[name].within(norm), 0.5) for name in names)
                 ]
                 assert f"{-(-max(stored) // 1000):,}" == size, (names, dim, security, norm)
+
+
+@pytest.mark.usefixtures("no_sync")
+@pytest.mark.parametrize(
+    ("score", "security"), [("S10", "malicious"), ("S10", "semi-honest"), ("S8", "malicious")]
+)
+def test_rounds_of_a_step_are_those_that_the_plan_and_the_how_to_say(galleries, monkeypatch, score, security):
+    """Groups of 3 descriptors and strips of 6 pairs, in place of 128 and 65,536."""
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
+    prepare_at_a_time(monkeypatch, 3)
+    purpose, vectors = GalleryPurpose(score, 16), unit_vectors(np.random.default_rng(1), 12, 16)
+    cost = gallery_cost(("alice", "bob"), purpose, (300, 300), security, timed=False)
+    sentence = next(
+        line
+        for line in gallery_report.as_text(cost, purpose, security, ("alice", "bob"), 0)
+        if "rounds" in line
+    )
+    one, both = map(int, re.findall(r"(\d+) (?:rounds )?where", sentence))
+    group = int(*(re.findall(r"(\d+) for each further 128 descriptors", sentence) or [0]))
+    strip = int(*re.findall(r"(\d+) for each further 65,536 pairs", sentence))
+    brought = [(1, 1), (1, 0), (1, 1), (0, 0), (6, 0)]
+    parts = [np.split(vectors, np.cumsum([step[i] for step in brought]))[: len(brought)] for i in (0, 1)]
+    mission = galleries(purpose.terms(0.5, security), (12, 12))
+    for steps in no_errors(mission.meet(feed(parts[0]), feed(parts[1]))):
+        assert [step.stats.rounds for step in steps] == [one, one, both, 1, one + group + strip]
+    if (score, security) == ("S10", "malicious"):
+        told = re.search(
+            r"(\d+) rounds a step in which one side brings .*?, (\d+) if both do", HOW_TO, re.DOTALL
+        )
+        assert told and tuple(map(int, told.groups())) == (one, both)
+        more = re.search(
+            r"plus (\d+) for each further 128 .*? and (\d+) for each further 65,536", HOW_TO, re.DOTALL
+        )
+        assert more and tuple(map(int, more.groups())) == (group, strip)

@@ -79,6 +79,7 @@ def _leaked(report: Report) -> Table:
     table.add_row("number of keyframes", f"yes ({alice}, {bob})", "yes")
     table.add_row("which pairs match", f"yes ({report.candidates} of {report.pairs:,})", "yes")
     table.add_row("how alike a pair is", "no", "yes")
-    table.add_row("a vector's length", "1, as was proved" if report.security == "malicious" else "no", "yes")
+    proved = "at most 1, as was proved" if report.security == "malicious" else "no"
+    table.add_row("a vector's norm", proved, "yes")
     table.add_row("a descriptor, hence images and paths", "no", f"yes, all {report.dimension} numbers")
     return table
