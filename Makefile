@@ -14,7 +14,7 @@ test: $(VENV)/.test
 # The same tests with thousands of random programs, lies of an insider, and drops at every byte (about an hour).
 test-slow: $(VENV)/.test
 	SPDZ_RANDOM_PROGRAMS=4000 SPDZ_INSIDER_TRIALS=60 SPDZ_DROPS=4000 $(BIN)/python -m pytest --timeout 3600 \
-		tests/test_random_programs.py tests/test_insider.py tests/test_matcher.py
+		tests/test_random_programs.py tests/test_insider.py tests/test_matcher.py tests/test_gallery_stream.py
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .

@@ -58,6 +58,8 @@ def _run(words: Sequence[str]) -> int:
             reveal=options.reveal,
             tile=options.tile or (1, 1),
             max_norm=MAX_NORM if options.max_norm is None else options.max_norm,
+            min_norm=options.min_norm or 0.0,
+            proof=options.norm_proof,
         )
         note(options, advice(purpose, options.security))
         if options.plan:

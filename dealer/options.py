@@ -167,7 +167,13 @@ def parser() -> argparse.ArgumentParser:
         "--min-norm",
         type=float,
         metavar="R",
-        help="with --slots: smallest L2 norm of a descriptor (default 0)",
+        help="with --slots or --norm-proof: smallest L2 norm of a descriptor (default 0)",
+    )
+    add(
+        "--norm-proof",
+        action="store_true",
+        help="with --count or --maps: every job proves that its descriptors' norms are in range, as a "
+        "gallery does once a descriptor; two rounds and two checks more, 2 KB of tape a descriptor",
     )
     add(
         "--no-norm-proof",
@@ -188,18 +194,23 @@ def misplaced(options: argparse.Namespace) -> str | None:
     if options.slots is None:
         for name, given in (
             ("--resolution", options.resolution is not None),
-            ("--min-norm", options.min_norm is not None),
+            ("--min-norm", options.min_norm is not None and not options.norm_proof),
             ("--no-norm-proof", options.no_norm_proof),
         ):
             if given:
                 return f"{name} is for galleries: give --slots as well, or leave it out"
         return None
+    if options.norm_proof:
+        return "--norm-proof is for jobs: a gallery proves norms unless --no-norm-proof says otherwise"
     if options.meetings is not None:
         return "--meetings is for maps: a gallery is there for as many as it takes, so leave it out"
     if options.tile is not None:
         return "--tile is for jobs: a gallery compares any descriptors, so leave it out"
     if options.spare is not None:
-        return "--spare is for jobs: a gallery loses nothing by an interruption, so leave it out"
+        return (
+            "--spare is for jobs: a gallery goes on after an interruption (S3, S4, S8 and S9 without the "
+            "results that it cut off), so leave it out"
+        )
     return None
 
 

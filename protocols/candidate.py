@@ -41,6 +41,16 @@ class Candidate:
         """The score's."""
         return self.score.max_norm
 
+    @property
+    def min_norm(self) -> float:
+        """The score's."""
+        return self.score.min_norm
+
+    @property
+    def prove_norm(self) -> bool:
+        """The score's."""
+        return self.score.prove_norm
+
     @unchanging
     async def __call__(self, engine: Engine, x: Value, y: Value, /) -> Value:
         """One comparison of the score with the threshold."""

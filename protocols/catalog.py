@@ -30,6 +30,8 @@ class Purpose(Question):
         dim: Length N of a descriptor.
         tile: Descriptors (of party 0, of party 1) in a job.
         max_norm: Largest L2 norm of a descriptor.
+        min_norm: Smallest L2 norm of a descriptor.
+        proof: Whether every job proves the norms of its descriptors (malicious mode).
     """
 
     score: str
@@ -37,6 +39,8 @@ class Purpose(Question):
     reveal: Reveal = "bit"
     tile: tuple[int, int] = (1, 1)
     max_norm: float = MAX_NORM
+    min_norm: float = 0.0
+    proof: bool = False
 
     def __post_init__(self) -> None:
         self.check()
@@ -66,6 +70,7 @@ class Purpose(Question):
             "dim": self.dim,
             "tile": list(self.tile),
             "max_norm": self.max_norm,
+            **({"min_norm": self.min_norm, "norm_proof": True} if self.proof else {}),
         }
 
     @classmethod
@@ -87,6 +92,8 @@ class Purpose(Question):
             dim=int(header["dim"]),
             tile=(int(rows), int(columns)),
             max_norm=float(header["max_norm"]),
+            min_norm=float(header.get("min_norm", 0.0)),
+            proof=bool(header.get("norm_proof", False)),
         )
 
 

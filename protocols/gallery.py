@@ -10,6 +10,7 @@ number.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -27,6 +28,7 @@ from spdz.readings.gallery import Terms
 from spdz.session import Block, GallerySession, Step, open_gallery
 from spdz.session.admission import quantised
 from spdz.session.connect import check_where
+from spdz.session.stored import Stored
 from spdz.session.turn import Turn
 
 Self = TypeVar("Self", bound="Gallery")
@@ -100,7 +102,8 @@ class Gallery(Reconnecting[GallerySession]):
             terms = GalleryPurpose.from_json(self._header.program).terms(threshold, self._header.security)
         self._tape, self._wait, self._threshold, self._terms = tape, wait, threshold, terms
         self._on_block = on_block
-        self._waiting: list[IntArray] = []
+        self._added: list[IntArray] = []  # by any thread; a step takes them when it begins
+        self._waiting: list[IntArray] = []  # what the sessions of a step bring
         self._step: Step | None = None
         self._number: int | None = None
         self._fresh = True
@@ -118,8 +121,14 @@ class Gallery(Reconnecting[GallerySession]):
         try:
             if error is None:
                 self.finish()
+            else:
+                self.abandon(error)
         finally:
             self.close()
+
+    def abandon(self, error: BaseException) -> None:
+        """End because of an error of this side's own; the peer is told that this side stopped."""
+        self._hang_up(error)
 
     @property
     def header(self) -> GalleryHeader:
@@ -133,12 +142,43 @@ class Gallery(Reconnecting[GallerySession]):
 
     @property
     def partial(self) -> Step | None:
-        """A step that is under way or was broken off, as far as it was decided, checked and durable."""
+        """What no :meth:`step` has returned yet, as far as it was decided, checked and durable.
+
+        That is a step under way or broken off, or what the peer got of its own when it was served.
+        """
         return self._step
 
+    @property
+    def room(self) -> int:
+        """Own slots that are neither used nor waited for."""
+        with self._holding() as holder:
+            waiting = len(self._waiting) if isinstance(holder, Stored) else 0
+            return max(0, holder.room - waiting - len(self._added))
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether pairs wait that an earlier step was to compare."""
+        with self._holding() as holder:
+            return holder.unfinished
+
     def check(self, descriptors: npt.ArrayLike) -> None:
-        """Raise :class:`ValueError` if these descriptors do not suit the gallery."""
+        """Refuse descriptors, or a rule, that do not suit the gallery, before the peer is looked for.
+
+        Raises:
+            ValueError: for descriptors that do not suit.
+            TapeMismatch: if the gallery has answered another threshold or program.
+        """
         quantised(self._terms, descriptors)
+        with self._holding():
+            pass
+
+    def require_room(self, more: int) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
+        if more > self.room:
+            raise TapeExhausted(
+                f"this gallery has {self.room} slots left for {self._header.name} and {more} are needed. "
+                f"Nothing was used. Deal more: {self._header.dealer_command}"
+            )
 
     def connect(self) -> None:
         """Reach the peer now, within ``wait`` seconds, instead of with the first step."""
@@ -146,7 +186,7 @@ class Gallery(Reconnecting[GallerySession]):
             self._see_through(self._wait, self._catch_up)
 
     def add(self, descriptors: npt.ArrayLike) -> None:
-        """Bring descriptors to the next step.
+        """Bring descriptors to the next step; any thread may, also while a step is under way.
 
         Args:
             descriptors: Shape (n, N); none are legal.
@@ -154,7 +194,7 @@ class Gallery(Reconnecting[GallerySession]):
         Raises:
             ValueError: for bad descriptors; nothing is consumed.
         """
-        self._waiting += list(quantised(self._terms, descriptors))
+        self._added.extend(quantised(self._terms, descriptors))
 
     def step(self) -> Step:
         """Bring what was added and compare all new pairs, however often the connection breaks.
@@ -163,7 +203,8 @@ class Gallery(Reconnecting[GallerySession]):
             The slots that the new descriptors are in, and all new results.
 
         Raises:
-            TapeExhausted: if there are not slots enough; what was added is forgotten, nothing is consumed.
+            TapeExhausted: if there are not slots enough; what was added and is in no slot yet is forgotten,
+                nothing is consumed.
             ChannelError: if the peer was not reached, or nothing went on, for ``wait`` seconds.
             SpdzError: if the peer cheats or will not go on. Of every such error ``error.partial`` is the step
                 as far as it was decided, checked and durable; :meth:`step` goes on with it.
@@ -172,7 +213,7 @@ class Gallery(Reconnecting[GallerySession]):
             step = self._step = self._step or Step()
             try:
                 self._see_through(self._wait, self._catch_up)
-                self._require_room()
+                self._take_added()
                 self._see_through(self._wait, self._go_on)
             except SpdzError as error:
                 error.partial = step
@@ -181,29 +222,28 @@ class Gallery(Reconnecting[GallerySession]):
             return step
 
     def results(self) -> Iterator[Block]:
-        """All results so far, of earlier runs too, strip by strip; the peer must have been reached."""
-        if self._session is None:
-            raise ValueError("the results are read on an open connection: call connect() or step() first")
-        return self._session.results()
+        """All results so far, of earlier runs too, strip by strip."""
+        with self._holding() as holder:
+            yield from holder.results()
 
     @property
     def filled(self) -> list[int]:
-        """Own slots that hold a descriptor, of earlier runs too; the peer must have been reached."""
-        if self._session is None:
-            raise ValueError("the slots are known on an open connection: call connect() or step() first")
-        return self._session.filled
+        """Own slots that hold a descriptor, of earlier runs too."""
+        with self._holding() as holder:
+            return holder.filled
 
     def holds(self, descriptors: npt.ArrayLike) -> int:
-        """How many own slots hold descriptors, if these are the first of ``descriptors``, in order.
+        """How many descriptors this side has brought or will, if they are the first of these, in order.
+
+        Descriptors count whose slots were lost half prepared: the next step brings them once more.
 
         Raises:
             ValueError: if they are not.
         """
-        raw, filled = quantised(self._terms, descriptors), self.filled
-        if self._session is None or not filled:
-            return 0
-        held = self._session.plain(filled)
-        if len(raw) < len(held) or not np.array_equal(raw[: len(held)], held):
+        raw = quantised(self._terms, descriptors)
+        with self._holding() as holder:
+            held = [*holder.plain(holder.filled), *self._waiting, *self._added]
+        if len(raw) < len(held) or not np.array_equal(raw[: len(held)], np.reshape(held, (-1, raw.shape[1]))):
             raise ValueError(
                 f"the gallery holds {len(held)} descriptors already, and they are not the first {len(held)} "
                 "of these: give the whole map again, with what is new at its end"
@@ -224,9 +264,21 @@ class Gallery(Reconnecting[GallerySession]):
         try:
             with self._turn:
                 self._see_through(min(self._wait, FAREWELL), self._part)
-        except (ChannelError, OutOfStep) as error:
+        except OutOfStep:
+            self._on_event(f"{self._header.peer} goes on without this robot")
+        except ChannelError as error:
             self._on_event(f"ended without {self._header.peer}: {error}")
         self._number = None
+
+    @contextmanager
+    def _holding(self) -> Iterator[GallerySession | Stored]:
+        """The open session, or what is stored."""
+        if self._session is not None:
+            yield self._session
+            return
+        state = self._where["state_dir"]
+        with Stored(Path(self._tape), self._terms, None if state is None else Path(state)) as stored:
+            yield stored
 
     def _open(self, wait: float) -> GallerySession:
         self._fresh = True
@@ -245,27 +297,25 @@ class Gallery(Reconnecting[GallerySession]):
         elif abs(self._number - peer) > 1:
             raise OutOfStep(f"this side is at step {self._number} and the peer at {peer}")
         elif peer < self._number:
-            self._step = self._step or Step()  # what the peer brings belongs to this side's next step
-            held = len(self._waiting)
-            waiting = [self._waiting.pop(0) for _ in range(held)]
-            try:
-                session.step(self._block, into=self._step)
-            finally:
-                self._waiting[:0] = waiting
+            self._step = self._step or Step()  # the next one of this side: it has what the peer still brings
+            session.step(self._block, into=self._step)
         self._fresh = False
 
     def _part(self, session: GallerySession) -> None:
         self._catch_up(session)
-        session.exchange_note({"step": self._number})
+        session.part(self._number or 0)
 
-    def _require_room(self) -> None:
-        """Refuse what there is no room for, while nothing is lost by it."""
+    def _take_added(self) -> None:
+        """Bring what was added until now; refuse it where there is no room, while nothing is lost by it."""
+        new = self._added[:]
+        del self._added[: len(new)]
         try:
             if self._session is not None:
-                self._session.require_room()
+                self._session.require_room(len(new))
         except TapeExhausted:
             self._waiting.clear()
             raise
+        self._waiting += new
 
     def _go_on(self, session: GallerySession) -> None:
         self._catch_up(session)

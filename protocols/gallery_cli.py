@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from protocols.catalog import GalleryPurpose, threshold_warning
+from protocols.catalog import GalleryPurpose
 from protocols.descriptors import load_descriptors
 from protocols.gallery import Gallery
+from protocols.memory import in_bytes
+from protocols.thresholds import is_hopeless, threshold_warning
 from spdz.console.command import say_error
 from spdz.console.progress import progress_bar
-from spdz.foundations.errors import SpdzError, TapeDestroyed, TapeInUse
+from spdz.foundations.errors import ChannelError, SpdzError, TapeDestroyed, TapeInUse
 from spdz.session import Block, Step
 
 _NAME = "python -m spdz match"
@@ -50,22 +52,37 @@ def run_gallery(options: argparse.Namespace) -> int:
             )
             purpose = GalleryPurpose.from_json(gallery.header.program)
             if warning := threshold_warning(purpose, options.threshold):
+                if is_hopeless(purpose, options.threshold):
+                    raise ValueError(f"{warning}. A gallery answers its first threshold for ever")
                 say(f"warning: {warning}")
+            gallery.check(descriptors)
+            unfinished, held = gallery.unfinished, 0 if options.append else gallery.holds(descriptors)
+            new = len(descriptors) - held
+            gallery.require_room(new)
             say(f"{gallery.rule}: looking for {gallery.header.peer} for {options.wait:g} s", options.quiet)
             with closing(gallery):
-                gallery.check(descriptors)
                 gallery.connect()
-                held = 0 if options.append else gallery.holds(descriptors)
+                if unfinished:
+                    say("an earlier run was interrupted: this one goes on where it was", options.quiet)
+                if held:
+                    say(f"the gallery holds {held} of these descriptors, {new} are new", options.quiet)
                 gallery.add(descriptors[held:])
                 started = time.perf_counter()
                 step = gallery.step()
                 seconds = time.perf_counter() - started
-                earlier = list(gallery.results()) if options.all else step.blocks
+                every = list(gallery.results())
+                earlier = every if options.all else step.blocks
+                hidden = len(Step(blocks=every).matches) - len(Step(blocks=step.blocks).matches)
+                if hidden > 0 and not options.all and purpose.reveal == "bit":
+                    say(f"{hidden} matches of earlier runs are not shown: --all", options.quiet)
                 try:
-                    _print(options, gallery, step, earlier, {"ms": round(seconds * 1e3, 3)})
+                    more = {"slots_left": gallery.room, "ms": round(seconds * 1e3, 3)}
+                    _print(options, gallery, step, earlier, more)
                 finally:
                     gallery.finish()
     except (SpdzError, ValueError, OSError, KeyboardInterrupt) as error:
+        if gallery is not None:
+            gallery.abandon(error)
         _print_failure(options, gallery, error)
         if isinstance(error, KeyboardInterrupt):
             raise
@@ -84,6 +101,8 @@ def _print_failure(options: argparse.Namespace, gallery: Gallery | None, error: 
     """Print what there is, and why there is no more."""
     kind, message = type(error).__name__, str(error) or "stopped before the end"
     step = gallery.partial if gallery is not None else None
+    if gallery is not None and step is not None and isinstance(error, (ChannelError, KeyboardInterrupt)):
+        say("run it again on both robots: it goes on where it was", options.quiet)
     if gallery is not None and step is not None and (step.blocks or options.json):
         more = {"error": kind, "message": message} if options.json else {}
         _print(options, gallery, step, step.blocks, more)
@@ -122,16 +141,20 @@ def _print(
         }
         print(json.dumps(summary | ({"matches": found} if bits else {"scores": _scores(blocks)})))
         return
-    if bits:
-        for own, peer in found:
-            print(f"match: {header.name} {own}  {header.peer} {peer}")
-        print(f"{len(found)} of {pairs} pairs match ({gallery.rule}, {header.security})")
-    else:
+    for own, peer in found:
+        print(f"match: {header.name} {own}  {header.peer} {peer}")
+    if not bits:
         for own, peer, score in _scores(blocks):
             print(f"{header.name} {own}  {header.peer} {peer}: {score:.6g}")
+    if not step.blocks:
+        print("nothing was compared: there was no new pair")
+    if bits and blocks:
+        so_far = " so far" if options.all and "ms" in more else ""
+        print(f"{len(found)} of {pairs} pairs match{so_far} ({gallery.rule}, {header.security})")
     spent = f"{more['ms']:.1f} ms, " if "ms" in more else ""
-    new = f"{len(step.own)} new descriptors here, {len(step.peer)} there"
-    print(f"{spent}{step.stats.bytes_sent / 1e6:.3f} MB sent, {step.stats.rounds} rounds; {new}")
+    new = f"{len(step.own)} new here and {len(step.peer)} there"
+    left = f"; {more['slots_left']} of {header.capacity[header.party]} slots left" if "ms" in more else ""
+    print(f"{spent}{in_bytes(step.stats.bytes_sent)} sent, {step.stats.rounds} rounds; {new}{left}")
 
 
 def _scores(blocks: Sequence[Block]) -> list[tuple[int, int, float]]:

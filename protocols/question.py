@@ -24,6 +24,8 @@ class Question:
         reveal: ``"bit"`` (is it a candidate?) or ``"score"`` (the number itself).
         dim: Length N of a descriptor.
         max_norm: Largest L2 norm of a descriptor.
+        min_norm: Smallest L2 norm of a descriptor.
+        proof: Whether norms are proved.
         resolution: Fractional bits of the score that a comparison looks at; None for all of them.
     """
 
@@ -33,6 +35,8 @@ class Question:
     dim: int
     reveal: Reveal
     max_norm: float
+    min_norm: float
+    proof: bool
     resolution: int | None = None
 
     def check(self) -> None:
@@ -55,7 +59,7 @@ class Question:
         Raises:
             ValueError: if the tape reveals bits and there is no threshold, or the other way round.
         """
-        score = SCORES[self.score].within(self.max_norm)
+        score = SCORES[self.score].within(self.max_norm, min_norm=self.min_norm, prove=self.proof)
         if self.reveal == "score":
             if threshold is not None:
                 raise ValueError("these tapes reveal the score itself: leave the threshold out")
@@ -71,6 +75,13 @@ class Question:
         sign = ">=" if SCORES[self.score].similarity else "<="
         root = f", a distance of {sqrt(threshold):.4g}" if self.hint and threshold >= 0 else ""
         return f"{self.score} {sign} {threshold:g}{root}"
+
+    @property
+    def summary(self) -> str:
+        """What is compared and opened, for people."""
+        opened = "the candidate bit alone" if self.reveal == "bit" else "the score itself"
+        what = f"{SCORES[self.score]} of {self.dim}-D descriptors of norm at most {self.max_norm:g}"
+        return f"{what}; opens {opened}"
 
     @property
     def dealt_program(self) -> Score | Candidate:

@@ -120,6 +120,8 @@ class Score:
         formula: The protocol on masked descriptors of shape S + (N,). If it is not given, ``compare`` of what
             ``prepare`` makes of both.
         max_norm: Largest L2 norm of a descriptor; a smaller one makes the dealt keys smaller.
+        min_norm: Smallest L2 norm of a descriptor.
+        prove_norm: Whether single jobs prove the norms (malicious mode); a gallery has terms of its own.
         prepare: What a gallery computes of vectors (n, N) alone, once a slot: a tuple of values whose first
             axis is the vectors'. Nothing, if it is not given.
         compare: What it computes of pairs: ``compare(engine, x, y)`` with x = (vectors, *prepared) of party
@@ -136,6 +138,8 @@ class Score:
     max_norm: float = MAX_NORM
     prepare: Preparation = nothing
     compare: Comparison = _missing
+    min_norm: float = 0.0
+    prove_norm: bool = False
 
     def __post_init__(self) -> None:
         given = self.compare is not _missing and not isinstance(self.compare, _Default)
@@ -161,6 +165,12 @@ class Score:
     def __str__(self) -> str:
         return f"{self.name} ({self.title})"
 
-    def within(self, max_norm: float) -> Score:
-        """The same score for descriptors of at most this norm (1 for normalised descriptors)."""
-        return replace(self, max_norm=max_norm)
+    def within(self, max_norm: float, *, min_norm: float = 0.0, prove: bool = False) -> Score:
+        """The same score for descriptors of norms in a range (1 for normalised descriptors).
+
+        Args:
+            max_norm: The largest norm.
+            min_norm: The smallest.
+            prove: Whether single jobs prove it, for two rounds and two checks more in the malicious mode.
+        """
+        return replace(self, max_norm=max_norm, min_norm=min_norm, prove_norm=prove)

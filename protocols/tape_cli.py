@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from protocols.catalog import Purpose
+from protocols.gallery_tape_cli import ID_DIGITS, gallery_facts, gallery_text, printable
 from protocols.memory import in_bytes
-from protocols.scores import SCORES
 from spdz.console.progress import progress_bar
 from spdz.foundations.errors import TapeError
+from spdz.gallery.status import gallery_status, verify_gallery
 from spdz.tape import TapeHeader, TapeStatus, tape_status, verify_corrections
+from spdz.tape.envelope import is_gallery
 
-_ID_DIGITS = 12
 _LARGE = 50_000_000  # bytes of a file that takes long enough to read for a progress bar
 
 _EPILOG = """\
@@ -30,12 +31,14 @@ Public facts only, no key and nothing that was compared. The tape is not changed
 while a robot uses it ("in use"). Both robots' tapes of a pair carry the same tape id; tapes and certificates
 of two dealer runs (mission ids) do not mix.
 
+A gallery's tape is shown with what its ledger and mark say of slots and pairs.
+
 A job is used as a whole. "Left" counts what this robot may still use; when the two robots meet, both go on
 from the one of them that has used more.
 
 Only header, state and size are checked, which is quick: a tape with a damaged job is shown as "ready", and
-the damage is found when a robot comes to that job. --verify reads all jobs that are left now: do it after
-copying a tape to its robot.
+the damage is found when a robot comes to that job. --verify reads all jobs that are left now, and all
+records of a gallery: do it after copying a tape to its robot.
 
 Exit status: 0, or 2 if a file is missing, damaged or no tape (the others are shown all the same).
 """
@@ -53,7 +56,7 @@ def add_tape(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     add = arguments.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="tapes, or folders to look for tapes in")
     add("--state-dir", type=Path, metavar="DIR", help="where used tapes are recorded a second time")
-    add("--verify", action="store_true", help="also read every job that is left and check its checksums")
+    add("--verify", action="store_true", help="also read and check every job that is left, or record")
     add("--json", action="store_true", help="one JSON object a line, for each tape")
     arguments.set_defaults(run=run_tape)
 
@@ -65,17 +68,30 @@ def run_tape(options: argparse.Namespace) -> int:
         try:
             for tape in _tapes(path):
                 try:
-                    status = tape_status(tape, options.state_dir)
-                    if options.verify:
-                        with progress_bar(f"verifying {tape}", quiet=status.size < _LARGE) as progress:
-                            verify_corrections(tape, status, progress)
-                    facts = _facts(tape, status) | {"verified": options.verify}
-                    print(json.dumps(facts) if options.json else _text(tape, status, options.verify))
+                    print(_shown_gallery(tape, options) if is_gallery(tape) else _shown_jobs(tape, options))
                 except TapeError as error:
                     result = _refuse(tape, type(error).__name__, str(error), as_json=options.json)
         except OSError as error:
             result = _refuse(path, type(error).__name__, f"{path}: {error.strerror}", as_json=options.json)
     return result
+
+
+def _shown_jobs(tape: Path, options: argparse.Namespace) -> str:
+    status = tape_status(tape, options.state_dir)
+    if options.verify:
+        with progress_bar(f"verifying {tape}", quiet=status.size < _LARGE) as progress:
+            verify_corrections(tape, status, progress)
+    facts = _facts(tape, status) | {"verified": options.verify}
+    return json.dumps(facts) if options.json else _text(tape, status, options.verify)
+
+
+def _shown_gallery(tape: Path, options: argparse.Namespace) -> str:
+    status = gallery_status(tape, options.state_dir)
+    if options.verify:
+        with progress_bar(f"verifying {tape}", quiet=status.size < _LARGE) as progress:
+            verify_gallery(tape, progress)
+    facts = gallery_facts(tape, status) | {"verified": options.verify}
+    return json.dumps(facts) if options.json else gallery_text(tape, status, options.verify)
 
 
 def _tapes(path: Path) -> Iterator[Path]:
@@ -118,8 +134,8 @@ def _facts(path: Path, status: TapeStatus) -> dict[str, Any]:
         "used": status.used,
         "left": status.left,
         "bytes": status.size,
-        "mission": header.mission[:_ID_DIGITS],
-        "tape": header.tape[:_ID_DIGITS],
+        "mission": header.mission[:ID_DIGITS],
+        "tape": header.tape[:ID_DIGITS],
         "in_use": status.in_use,
         "destroyed": status.destroyed,
         "rolled_back": status.rolled_back,
@@ -138,23 +154,19 @@ def _text(path: Path, status: TapeStatus, verified: bool) -> str:
         f"  left      {_left(status, purpose)}",
         f"  state     {_state(status)}",
         f"  checked   header and state, {'and every job that is left' if verified else 'no job (--verify)'}",
-        f"  file      {in_bytes(status.size)}, mission {header.mission[:_ID_DIGITS]}, "
-        f"tape {header.tape[:_ID_DIGITS]}",
+        f"  file      {in_bytes(status.size)}, mission {header.mission[:ID_DIGITS]}, "
+        f"tape {header.tape[:ID_DIGITS]}",
     ]
     if purpose is not None:
         lines += [f"  note      {purpose.hint}"] if purpose.hint and purpose.reveal == "bit" else []
         lines.append(f"  deal more {header.dealer_command}")
-    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+    return printable(lines)
 
 
 def _shown(header: TapeHeader, purpose: Purpose | None) -> str:
     if purpose is None:
         return f"a program of your own, inputs of shapes {header.program.get('shapes')}"
-    opened = "the candidate bit alone" if purpose.reveal == "bit" else "the score itself"
-    return (
-        f"{SCORES[purpose.score]} of {purpose.dim}-D descriptors of norm at most {purpose.max_norm:g}; "
-        f"opens {opened}"
-    )
+    return purpose.summary
 
 
 def _left(status: TapeStatus, purpose: Purpose | None) -> str:

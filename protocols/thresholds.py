@@ -35,6 +35,16 @@ def threshold_warning(purpose: Question, threshold: float | None) -> str | None:
     return _out_of_place(purpose, threshold) or _too_coarse(purpose, threshold)
 
 
+def is_hopeless(purpose: Question, threshold: float | None) -> bool:
+    """Whether every pair or no pair can pass a threshold."""
+    if threshold is None or purpose.reveal == "score":
+        return False
+    least, most = purpose.score_range
+    if SCORES[purpose.score].similarity:
+        return threshold <= least or threshold > most * (1 + _ROUNDING)
+    return threshold < 0 or threshold >= most
+
+
 def resolution_warning(purpose: Question) -> str | None:
     """Why a resolution is too coarse for any threshold, or None."""
     least, most = purpose.score_range

@@ -15,3 +15,4 @@ def quick_disk(monkeypatch):
     """For tests of many small sessions: nothing waits for the disk."""
     for name in ("fsync", "fdatasync"):
         monkeypatch.setattr(f"spdz.tape.durable.os.{name}", lambda descriptor: None, raising=False)
+    monkeypatch.setattr("spdz.gallery.store._SETTINGS", ("synchronous=OFF",))

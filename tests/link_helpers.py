@@ -1,6 +1,7 @@
 """A radio link in memory that breaks after so many bytes, and two robots that look for each other over it."""
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from queue import Empty, Queue, SimpleQueue
 from unittest.mock import patch
@@ -12,7 +13,9 @@ from protocols import Matcher, matcher, reconnecting
 from protocols.catalog import Purpose
 from spdz import ChannelTimeout
 from spdz.channels import memory
-from spdz.session import Session
+from spdz.gallery import GalleryTape
+from spdz.gallery.ledger import Ledger
+from spdz.session import GallerySession, Session
 from spdz.tape import Tape
 
 DIM = 4
@@ -67,10 +70,28 @@ class Link:
     def open_session(self, tape, *, wait, state_dir, **where):
         """As :func:`spdz.open_session`: party 1 calls, party 0 takes the next call."""
         opened = Tape.open(tape, state_dir=Path(state_dir))
+        with ExitStack() as resources:
+            resources.enter_context(opened)
+            channel = self._reach(opened.header.party, wait)
+            resources.pop_all()
+        return Session(opened, channel)
+
+    def open_gallery(self, tape, terms, *, waiting, wait, state_dir, **where):
+        """As :func:`spdz.session.open_gallery`, in the same way."""
+        opened, state = GalleryTape.open(tape, state_dir=Path(state_dir)), Path(state_dir)
+        with ExitStack() as resources:
+            resources.enter_context(opened)
+            header, path = opened.header, tape.with_suffix(".ledger")
+            ledger = Ledger.open(path, header.tape, header.party, state_dir=state)
+            resources.enter_context(ledger)
+            channel = self._reach(header.party, wait)
+            resources.pop_all()
+        return GallerySession(opened, ledger, channel, terms, waiting)
+
+    def _reach(self, party, wait):
         try:
-            return Session(opened, self._call() if opened.header.party else self.calls.get(timeout=wait))
+            return self._call() if party else self.calls.get(timeout=wait)
         except Empty:
-            opened.close()
             raise ChannelTimeout("nobody calls") from None
 
     def _call(self):

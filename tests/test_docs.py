@@ -15,6 +15,8 @@ import pytest
 
 import bench.accuracy
 import bench.cli
+import bench.gallery
+import bench.gallery_pairs
 import bench.oracle
 import bench.recorded_accuracy
 import dealer.cli
@@ -254,7 +256,8 @@ def known_options() -> set[str]:
     """Every option of every command."""
     commands = spdz.__main__.parser()
     (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
-    parsers = [dealer.cli.parser(), bench.cli.parser(), bench.accuracy.parser(), bench.oracle.parser()]
+    parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
+    parsers += [bench.accuracy.parser(), bench.oracle.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
@@ -281,7 +284,7 @@ def test_the_reference_names_everything_public():
 
 def test_the_reference_names_every_field_of_the_benchmark_and_every_counter():
     spans = set(code_spans(ROOT / "docs" / "reference.md"))
-    rows = (bench.cli.Row, bench.accuracy.AccuracyRow, bench.oracle.OracleRow)
+    rows = (bench.cli.Row, bench.gallery_pairs.GalleryRow, bench.accuracy.AccuracyRow, bench.oracle.OracleRow)
     for kind in (*rows, bench.recorded_accuracy.RecordedRow, spdz.Stats):
         assert {field.name for field in dataclasses.fields(kind)} <= spans
 

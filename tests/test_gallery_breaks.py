@@ -8,12 +8,26 @@ import shutil
 
 import numpy as np
 import pytest
-from gallery_session_helpers import Cosine, Near, Product, Twice, cables, feed, no_errors, table, unit_vectors
+from gallery_session_helpers import (
+    Cosine,
+    Near,
+    Product,
+    Twice,
+    burn_some,
+    cables,
+    feed,
+    no_errors,
+    prepare_at_a_time,
+    table,
+    unit_vectors,
+)
 
 from spdz.foundations.errors import SpdzError, TapeMismatch
 from spdz.gallery.journal import Journal
+from spdz.gallery.ledger import Ledger
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
+from spdz.session import filling
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 from spdz.session.filling import Filling
@@ -92,9 +106,7 @@ def bring_the_rest(vectors, seen):
 
     def work(session):
         party = session.party
-        session.add(vectors[party][:0])
         seen[party].extend(session.results())
-        session.step()
         session.step()
         inside = {row.tobytes() for row in session.plain(session.filled)}
         rows = np.rint(vectors[party] * 65536).astype(np.int64)
@@ -135,7 +147,7 @@ PROGRAMS = {"product": Product(), "near": Near(), "cosine": Cosine(), "twice": T
 def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, security):
     """Every frame that one side does not get, or sends half of; then both are back, and bring the rest."""
     monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    prepare_at_a_time(monkeypatch, 2)
     terms = Terms(PROGRAMS[name], DIM, security)
     several_rounds = name in ("cosine", "twice")
     vectors, watch = data(), Watch(monkeypatch)
@@ -143,7 +155,7 @@ def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, securi
     no_errors(galleries(terms, SLOTS).meet(*first_part(vectors, shown), channels=ends))
     total = len(ends[0].frames)
     generator, reruns, complete = random.Random(name), 0, 0
-    numbers = range(total) if EVERY else sorted(generator.sample(range(total), 9))
+    numbers = range(total) if EVERY else sorted(generator.sample(range(total), 6))
     for number in numbers:
         side = generator.randrange(2)
         for how in ("sent", generator.choice(["unsent", "torn", b"\0" * 40])):
@@ -169,9 +181,10 @@ def test_the_connection_breaks_at_any_frame(galleries, monkeypatch, name, securi
 def test_it_breaks_again_and_again(galleries, monkeypatch, name):
     """Breaks of breaks: every meeting is cut at a random frame, until one is not."""
     monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    prepare_at_a_time(monkeypatch, 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
-    for seed in range(6):
+    burn_some(monkeypatch, random.Random(1))
+    for seed in range(12 if EVERY else 3):
         rng = random.Random(seed)
         watch.forget()
         mission = galleries(terms, (64, 64))
@@ -184,6 +197,46 @@ def test_it_breaks_again_and_again(galleries, monkeypatch, name):
         assert_complete(terms, vectors, found, burnt=name == "cosine")
 
 
+def test_what_is_in_is_known_before_the_first_step(galleries):
+    """Also of slots that were filled and not prepared when the connection broke."""
+    terms, vectors = Terms(Product(), DIM), data()
+    mission, ends = galleries(terms, SLOTS), cables()
+    ends[0].cut = (5, "unsent")
+    mission.meet(*[feed([v]) for v in vectors], channels=ends)
+
+    def look(session):
+        with pytest.raises(ValueError, match="in no slot"):
+            session.plain([0, len(vectors[session.party])])
+        return session.plain(session.filled)
+
+    for found, right in zip(no_errors(mission.meet(look)), vectors, strict=True):
+        assert np.array_equal(found, np.rint(right * 65536))
+
+
+def test_breaks_never_add_up_to_more_than_the_two_may_differ_by(galleries, monkeypatch):
+    """Every break comes after this side has filled all that it may, and before the peer has a word of it."""
+    monkeypatch.setattr("spdz.session.filling.MOST", 4)
+    monkeypatch.setattr("spdz.session.meeting.MOST", 4)
+    terms, vectors = Terms(Product(), DIM), [np.concatenate([v, -v]) for v in data()]
+    mission, rest = galleries(terms, SLOTS), [list(v) for v in vectors]
+
+    def bring(session):
+        held = len(session.filled)
+        session.add(vectors[session.party][held:])
+        return session.step()
+
+    for number in (3, 3, 3, 2, 3):
+        ends = cables()
+        ends[0].cut = (number, "unsent")
+        mission.meet(bring, channels=ends)
+    no_errors(mission.meet(bring))
+    found = no_errors(mission.meet(lambda session: (table(session, session.results()), session.filled)))
+    (first, rows), (second, columns) = found
+    assert (len(rows), len(columns)) == (len(rest[0]), len(rest[1]))
+    assert (first[np.ix_(rows, columns)] == truth(terms, vectors)).all()
+    assert (second[np.ix_(columns, rows)] == truth(terms, vectors).T).all()
+
+
 class Stop(BaseException):
     """The process is gone."""
 
@@ -192,7 +245,7 @@ class Stop(BaseException):
 def test_a_process_that_stops_at_any_durable_step_goes_on(galleries, monkeypatch, name):
     """Before and after each thing that the ledger is told."""
     monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 6)
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    prepare_at_a_time(monkeypatch, 2)
     terms, vectors, watch = Terms(PROGRAMS[name], DIM), data(), Watch(monkeypatch)
     step, count, stop = Journal.step, [0, 0], [None, None, None]
 
@@ -268,6 +321,52 @@ def test_copies_from_a_backup(galleries, lost):
     for side in (first, second):
         assert (side[side != -1] == right[side != -1]).all()
     assert (first[4:, 4:] != -1).all() and (second[4:, 4:] != -1).all()
+
+
+def test_slots_of_which_the_owner_has_lost_ledger_and_mark_are_void(galleries):
+    """Restored to before they were filled, it would mask others with masks that the peer has words of."""
+    terms, vectors = Terms(Product(), DIM), data()
+    mission = galleries(terms, (64, 64))
+    no_errors(mission.meet(*[feed([v[:1]]) for v in vectors]))
+    backup = mission.copy(mission.folder.with_name("backup-lost"))
+    ends = cables()
+    ends[0].cut = (4, "unsent")  # the peer has the words, and no pair was begun
+    mission.meet(*[feed([v[1:3]]) for v in vectors], channels=ends)
+    shutil.copy(backup.folder / "alice.ledger", mission.folder / "alice.ledger")
+    shutil.rmtree(mission.state(0))
+    shutil.copytree(backup.state(0), mission.state(0))
+    found = no_errors(mission.meet(bring_the_rest([vectors[0][::-1], vectors[1]], ([], []))))
+    (_, rows), _ = found
+    assert sorted(rows) == [0, 3, 4, 5, 6, 7]
+    assert_complete(terms, [vectors[0][::-1], vectors[1]], found, burnt=False)
+
+
+def test_a_side_that_stops_at_a_strip_of_void_slots_is_not_left_behind(galleries, monkeypatch):
+    """Strips without a pair to compare take an exchange all the same."""
+    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 1)
+    terms, vectors = Terms(Product(), DIM), data()
+    mission = galleries(terms, SLOTS)
+    no_errors(mission.meet(*[feed([v[:2]]) for v in vectors]))
+    inside, begin, burnt, stopped = filling.inside, Ledger.begin, [], []
+
+    def four_are_void(words, bits, norm):
+        good = inside(words, bits, norm)
+        if len(burnt) < 4:
+            burnt.append(1)
+            good[0] = False
+        return good
+
+    def stops(ledger, strip):
+        begin(ledger, strip)
+        if ledger._journal.mark.party == 1 and not stopped:
+            stopped.append(strip)
+            raise Stop
+
+    monkeypatch.setattr("spdz.session.filling.inside", four_are_void)
+    monkeypatch.setattr(Ledger, "begin", stops)
+    broken = mission.meet(feed([vectors[0][2:4]]), feed([vectors[1][:0]]))
+    assert isinstance(broken[1], Stop) and stopped[0].rows == range(2, 3)
+    assert_complete(terms, vectors, no_errors(mission.meet(bring_the_rest(vectors, ([], [])))), burnt=False)
 
 
 def test_ledger_and_state_restored_together_are_noticed_by_the_peer(galleries):

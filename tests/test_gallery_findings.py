@@ -166,11 +166,15 @@ def test_who_has_more_to_bring_brings_some_now():
 class Peer:
     """A session at whose other end somebody says what he likes."""
 
-    def __init__(self, note):
-        self.note = note
+    def __init__(self, note, late=0):
+        self.note, self.late = note, late
 
     def exchange_note(self, note):
         return self.note
+
+    def step(self, on_block, *, into):
+        into.peer.append(self.late)
+        on_block(self.late)
 
 
 def at_step(number):
@@ -192,6 +196,13 @@ def test_a_note_that_is_no_number_of_steps_is_refused(note, number):
     with pytest.raises(ProtocolViolation):
         gallery._catch_up(Peer(note))
     assert gallery._number == number
+
+
+def test_what_a_peer_brings_while_it_is_served_belongs_to_the_next_step():
+    gallery, shown = at_step(2), []
+    gallery._on_block = shown.append
+    gallery._catch_up(Peer({"step": 1}, 7))
+    assert gallery.partial.peer == shown == [7] and gallery._number == 2
 
 
 def test_a_robot_takes_no_number_that_it_could_not_say_itself():

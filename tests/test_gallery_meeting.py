@@ -1,164 +1,197 @@
-"""What one side of a gallery says when both meet again, and what follows: rules and their bounds."""
+"""Two sides of a gallery meet again: what follows from honest accounts, and what a lie in one can do."""
 
-import json
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from gallery_insider import Lies, duel, vectors
+from gallery_session_helpers import Cosine, Product, feed, no_errors, table
 
-from spdz import ProtocolViolation, TapeMismatch
-from spdz.channels.frames import MAX_CONTROL
+from spdz.foundations.errors import ProtocolViolation, SpdzError, TapeMismatch
 from spdz.gallery.strip import Strip
+from spdz.readings.gallery import Terms
 from spdz.session.meeting import MOST, Standpoint, meet
-from spdz.session.strips import STRIP_PAIRS
 
-BIG = (60_000, 60_000)
-
-
-def plan(pair=1, slots=1):
-    """Rounds of openings of a pair and of a slot."""
-    record = SimpleNamespace(openings=slots)
-    return SimpleNamespace(slots=(record, record), pair=SimpleNamespace(openings=pair))
+ONCE = SimpleNamespace(slots=(SimpleNamespace(openings=1),) * 2, pair=SimpleNamespace(openings=1))
+SEVERAL = SimpleNamespace(slots=(SimpleNamespace(openings=3),) * 2, pair=SimpleNamespace(openings=2))
+FIRST, SECOND = Strip(range(0, 5), range(0, 6)), Strip(range(5, 9), range(0, 6))
+PLAIN = Standpoint((9, 8), (9, 8), ([], []), (0, 0), None)
+CAPACITY = (1 << 16, 1 << 16)
 
 
-def side(filled, ready=None, void=((), ()), done=(0, 0), flight=None):
-    ready = filled if ready is None else ready
-    return Standpoint(filled, ready, (list(void[0]), list(void[1])), done, flight)
+def both(one, other, plan=ONCE):
+    """What follows for party 0, whose account is ``one``, and for party 1."""
+    return meet(one, other, 0, plan), meet(other, one, 1, plan)
 
 
-def strip(a, b, c, d):
-    return Strip(range(a, b), range(c, d))
+CASES = {
+    "nothing broken off": (PLAIN, PLAIN, []),
+    "one has begun": (replace(PLAIN, flight=FIRST), PLAIN, [FIRST]),
+    "both have begun": (replace(PLAIN, flight=FIRST), replace(PLAIN, flight=FIRST), [FIRST]),
+    "one has finished": (replace(PLAIN, done=(5, 6)), replace(PLAIN, flight=FIRST), [FIRST]),
+    "one has begun the next": (
+        replace(PLAIN, done=(5, 6), flight=SECOND), replace(PLAIN, flight=FIRST), [FIRST, SECOND],
+    ),
+}  # fmt: skip
 
 
-def both_ways(one, other, program):
-    """What either side finds, whichever party it is."""
-    for party in (0, 1):
-        yield meet(one, other, party, program), meet(other, one, 1 - party, program)
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("swapped", [False, True])
+def test_strips_are_run_again_or_burnt_on_both_sides(name, swapped):
+    one, other, strips = CASES[name]
+    if swapped:
+        one, other = other, one
+    for agreed in both(one, other):
+        assert (agreed.again, agreed.burn) == (strips, [])
+    for agreed in both(one, other, SEVERAL):
+        assert (agreed.again, agreed.burn) == ([], strips)
 
 
-# -- strips -----------------------------------------------------------------------------------------------
-
-
-def test_one_side_may_be_a_strip_behind_while_the_other_has_begun_the_next():
-    missed, begun = strip(2, 4, 0, 3), strip(0, 4, 3, 5)
-    ahead = side((4, 5), done=(4, 3), flight=begun)
-    behind = side((4, 5), done=(2, 3), flight=missed)
-    for agreed in both_ways(ahead, behind, plan()):
-        assert [(one.again, one.burn) for one in agreed] == [([missed, begun], [])] * 2
-    for agreed in both_ways(ahead, behind, plan(pair=2)):
-        assert [(one.again, one.burn) for one in agreed] == [([], [missed, begun])] * 2
-    given_up = side((4, 5), done=(2, 3))  # the side behind will not run it again
-    for agreed in both_ways(ahead, given_up, plan()):
-        assert [(one.again, one.burn) for one in agreed] == [([begun], [missed])] * 2
-
-
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        (side((4, 5), done=(4, 5)), side((4, 5), done=(2, 3), flight=strip(2, 4, 0, 3))),  # two strips apart
-        (side((4, 5), done=(4, 3)), side((4, 5), done=(2, 3), flight=strip(0, 2, 3, 5))),  # another strip
-        (side((4, 5), done=(4, 3)), side((4, 5), done=(2, 5))),
-        (
-            side((4, 5), done=(2, 3), flight=strip(2, 4, 0, 3)),
-            side((4, 5), done=(2, 3), flight=strip(2, 3, 0, 3)),
-        ),
-    ],
-)
-def test_sides_further_apart_are_refused(one, other):
-    for party in (0, 1):
-        with pytest.raises(TapeMismatch):
-            meet(one, other, party, plan())
-
-
-@pytest.mark.parametrize("repeatable", [True, False])
-@pytest.mark.parametrize("peer", [{"flight": strip(0, 8, 0, 8)}, {"done": (8, 8)}], ids=["flight", "done"])
-def test_a_strip_of_slots_that_one_side_does_not_know_is_refused(peer, repeatable):
-    """A liar would have slots that are filled later compared, or burnt, against the rule."""
-    for own in (side((0, 0)), side((8, 0)), side((7, 8)), side((8, 7))):
-        for party in (0, 1):
-            with pytest.raises(TapeMismatch, match=r"begun|compared"):
-                meet(own, side((8, 8), **peer), party, plan(1 if repeatable else 2))
-    assert meet(side((8, 8)), side((8, 8), **peer), 0, plan())
-
-
-@pytest.mark.parametrize("repeatable", [True, False])
-def test_a_strip_larger_than_any_step_makes_is_refused(repeatable):
-    """It would need memory for all of it at once, or burn more than a strip."""
-    program, rows = plan(1 if repeatable else 2), STRIP_PAIRS // 256
-    for shape, fits in (
-        ((rows, 256), True),
-        ((rows + 1, 256), False),
-        ((1, 60_000), True),
-        ((60_000, 1), True),
-    ):
-        flight = side(BIG, flight=strip(0, shape[0], 0, shape[1]))
-        if fits:
-            found = meet(side(BIG), flight, 0, program)
-            assert found.again + found.burn == [flight.flight]
-        else:
-            with pytest.raises(TapeMismatch, match="more than any step"):
-                meet(side(BIG), flight, 0, program)
-
-
-# -- slots ------------------------------------------------------------------------------------------------
-
-
-def test_void_slots_are_told_as_runs_however_many_there_are():
-    """A gallery that lost its ledger has tens of thousands of them, and goes on."""
-    told = side(BIG, void=(range(50_000), [*range(0, 9_000), *range(20_000, 60_000)]))
-    message = json.loads(json.dumps(told.as_json()))
-    assert message["void"] == [[[0, 50_000]], [[0, 9_000], [20_000, 60_000]]]
-    assert len(json.dumps(message)) < MAX_CONTROL // 100
-    assert Standpoint.read(message, BIG) == told
-    assert meet(told, told, 0, plan()).void == told.void
+def test_a_strip_that_one_side_has_given_up_is_not_run_again():
+    """It was behind its mark, and burnt the strip; so it is ahead, with nothing in flight."""
+    ahead, behind = replace(PLAIN, done=(5, 6)), PLAIN
+    for agreed in both(ahead, behind):
+        assert (agreed.again, agreed.burn) == ([], [FIRST])
+    for agreed in both(replace(ahead, flight=SECOND), behind):
+        assert (agreed.again, agreed.burn) == ([SECOND], [FIRST])
 
 
 @pytest.mark.parametrize(
-    "void",
+    "one,other",
     [
-        [[3, 4], []],  # numbers, as runs are not
-        [[[3, 5], [4, 6]], []],
-        [[[4, 6], [0, 2]], []],
-        [[[0, 2], [2, 4]], []],
-        [[[4, 4]], []],
-        [[[5, 4]], []],
-        [[[0, 9]], []],
-        [[[0, 1 << 60]], []],
-        [[[-1, 1]], []],
-        [[[0, 1.0]], []],
-        [[[0, True]], []],
-        [[[0]], []],
-        [[[0, 1, 2]], []],
-        [[]],
-        [[], [], []],
-        [None, []],
-        {"0": [], "1": []},
-        {0: [], 1: []},
+        (replace(PLAIN, flight=FIRST), replace(PLAIN, flight=Strip(range(0, 5), range(0, 5)))),
+        (replace(PLAIN, done=(5, 6)), replace(PLAIN, done=(6, 5))),
+        (replace(PLAIN, done=(5, 6)), replace(PLAIN, done=(7, 8))),
+        (replace(PLAIN, done=(5, 6)), replace(PLAIN, flight=Strip(range(0, 4), range(0, 6)))),
+        (replace(PLAIN, flight=FIRST), replace(PLAIN, filled=(4, 8), ready=(4, 8))),
+        (replace(PLAIN, done=(5, 6)), replace(PLAIN, filled=(4, 8), ready=(4, 8))),
+        (PLAIN, replace(PLAIN, filled=(9 + MOST + 1, 8))),
+        (PLAIN, replace(PLAIN, filled=(9, 8 + MOST + 1))),
     ],
-    ids=str,
 )
-def test_what_is_no_set_of_runs_is_refused(void):
-    message = side((8, 8)).as_json() | {"void": void}
+def test_accounts_of_different_histories_are_refused(one, other):
+    for own, peer, party in ((one, other, 0), (other, one, 1)):
+        with pytest.raises(TapeMismatch, match="eal new tapes"):
+            meet(own, peer, party, ONCE)
+
+
+def test_slots_that_either_has_lost_are_void_on_both_sides():
+    one = Standpoint((9, 8), (7, 8), ([1], [2]), (0, 0), None)
+    other = Standpoint((11, 6), (11, 6), ([3], []), (0, 0), None)
+    first, second = both(one, other)
+    # Party 0 has forgotten its slots 9 and 10; party 1 its slots 6 and 7.
+    assert (first.lost, first.send) == (2, 11)
+    assert (second.lost, second.send) == (2, 8)
+    assert first.void == ([1, 3], [2, 6, 7])
+    assert second.void == ([1, 3, 9, 10], [2])
+    assert first.ready == second.ready == (7, 6)
+    first, second = both(one, other, SEVERAL)  # prepared on one side alone: another note may be there
+    assert first.void[0] == [1, 3, 7, 8] and second.void[0] == [1, 3, 7, 8, 9, 10]
+
+
+def test_slots_that_no_side_has_begun_with_are_not_lost():
+    """Preparing goes by 128 slots; what comes after those that may be half prepared waits as it is."""
+    one = Standpoint((1000, 0), (300, 0), ([301, 1], []), (0, 0), None)
+    for other in (one, replace(one, ready=(428, 0))):
+        for agreed in both(one, other, SEVERAL):
+            end = 300 + 128 + 1 if other is one else 428 + 128
+            assert agreed.void[0] == [1, *range(300, end)]
+
+
+def test_many_void_slots_can_be_told():
+    slots = list(range(20000)) + list(range(20001, 40000, 2))
+    standpoint = Standpoint((50000, 50000), (0, 0), (slots[:20000], slots[:24000]), (0, 0), None)
+    assert Standpoint.read(standpoint.as_json(), CAPACITY) == standpoint
+    with pytest.raises(ProtocolViolation):
+        Standpoint.read(replace(standpoint, void=(slots, [])).as_json(), CAPACITY)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_accounts_travel(case):
+    for standpoint in CASES[case][:2]:
+        assert Standpoint.read(standpoint.as_json(), CAPACITY) == standpoint
+
+
+BAD = [
+    {"filled": [1 << 17, 0]},
+    {"filled": [-1, 0]},
+    {"filled": [1]},
+    {"filled": [1, 2, 3]},
+    {"filled": None},
+    {"filled": [True, 1]},
+    {"ready": [0, 1.0]},
+    {"done": [10, 8]},
+    {"done": [9, 9]},
+    {"done": [3, 0]},
+    {"done": [0, 3]},
+    {"flight": [0, 0, 0, 1]},
+    {"flight": [0, 10, 0, 8]},
+    {"flight": [1, 2, 0, 8]},
+    {"flight": [0, 1]},
+    {"flight": 3},
+    {"flight": [0, 1, 0, 1 << 40]},
+    {"void": [[[3, 2]], []]},
+    {"void": [[[2, 2]], []]},
+    {"void": [[[9, 10]], []]},
+    {"void": [[], [[-1, 1]]]},
+    {"void": []},
+    {"void": [[[1, 2], [2, 3]], []]},
+    {"void": {}},
+]
+
+
+@pytest.mark.parametrize("change", BAD, ids=str)
+def test_malformed_accounts_are_refused(change):
     with pytest.raises(ProtocolViolation, match="malformed"):
-        Standpoint.read(message, BIG)
+        Standpoint.read(PLAIN.as_json() | change, CAPACITY)
 
 
-@pytest.mark.parametrize("owner", [0, 1])
-@pytest.mark.parametrize("slots", [1, 2])
-def test_what_a_peer_can_make_void_in_a_meeting_is_bounded(owner, slots):
-    def pair(number):
-        return (number, 0) if owner == 0 else (0, number)
+LIES = [
+    {"filled": [0, 0], "ready": [0, 0], "done": [0, 0]},
+    {"filled": [2, 2]},
+    {"filled": [3, 3]},
+    {"filled": [1, 2]},
+    {"ready": [0, 0]},
+    {"ready": [2, 1]},
+    {"done": [0, 0]},
+    {"done": [1, 2]},
+    {"done": [0, 0], "flight": [0, 2, 0, 2]},
+    {"done": [1, 2], "flight": [1, 2, 0, 2]},
+    {"flight": [2, 3, 0, 2]},
+    {"filled": [3, 3], "flight": [2, 3, 0, 2]},
+    {"filled": [3, 3], "done": [3, 2]},
+    {"filled": [3, 3], "done": [3, 3]},
+    {"void": [[[0, 1]], []]},
+    {"void": [[], [[0, 2]]]},
+    {"void": [[[0, 2]], [[0, 2]]]},
+    {"text": "0"},
+    {"done": [2, 1], "flight": [0, 2, 1, 2]},
+]
 
-    own = side(pair(50_000))
-    for say in (
-        lambda number: side(pair(50_000), pair(50_000 - number)),  # not prepared, it says
-        lambda number: side(pair(50_000), void=(range(number), ()) if owner == 0 else ((), range(number))),
-        lambda number: side(pair(50_000 - number)),  # forgotten
-        lambda number: side(pair(50_000 + number)),  # never sent here
-    ):
-        for party in (0, 1):
-            agreed = meet(own, say(MOST), party, plan(slots=slots))
-            assert len(agreed.void[owner]) + agreed.lost <= MOST
-            with pytest.raises(TapeMismatch, match="old copy"):
-                meet(own, say(MOST + 1), party, plan(slots=slots))
-    mine = side(pair(50_000), void=(range(9_000), ()) if owner == 0 else ((), range(9_000)))
-    assert len(meet(mine, mine, 0, plan()).void[owner]) == 9_000  # what both know is none of the peer's
+
+@pytest.mark.parametrize("evil", [0, 1])
+@pytest.mark.parametrize("program", [Product(), Cosine()], ids=["once", "several"])
+@pytest.mark.parametrize("lie", LIES, ids=str)
+def test_a_lie_at_the_meeting_costs_slots_and_no_result(galleries, no_sync, evil, program, lie):
+    """What was found stays, what is shown is true, and every end is a named one."""
+    data, terms = vectors((3, 3)), Terms(program, 4)
+    mission = galleries(terms, (8, 8))
+    no_errors(mission.meet(*[feed([v[:2]]) for v in data]))
+    lies = Lies(control=lambda number, message: message | lie if number == 1 else message)
+    found = duel(mission, [v[2:] for v in data], evil, lies, timeout=1.0)
+    assert isinstance(found.outcome, list | SpdzError), found.outcome
+    assert found.error != "TapeDamaged"
+    truth = data[1 - evil] @ data[evil].T >= program.threshold
+    for block in found.seen:
+        for j, row in enumerate(block.own):
+            for k, column in enumerate(block.peer):
+                if row < 2 and column < 2:
+                    assert block.results[j, k] == truth[row, column]
+
+    def look(session):
+        return table(session, session.results())
+
+    for party, held in enumerate(mission.meet(look)):
+        if not isinstance(held, Exception):
+            assert np.array_equal(held[:2, :2] == 1, truth[:2, :2] if party != evil else truth[:2, :2].T)

@@ -289,3 +289,31 @@ def test_the_same_error_in_two_collapsed_openings_does_not_cancel():
         if errors[0] and sum(errors) % P == 0:
             assert (u[0] + u[1]) % P != 0  # it would, under the same u and v
         assert (first.message() == second._hash(0)) is right
+
+
+def test_the_weights_depend_on_all_that_was_said_before():
+    """On the session, on both sides' frames, on the check's number and on the opening's place."""
+    opened = field.from_ints(range(1, 7)).reshape(2, 3, 2)
+
+    class First:
+        def weighed(self, u, v):
+            return field.to_int(u[0]) << 127 | field.to_int(v[0])
+
+    def weights(session=b"session", frames=((b"one", b"two"),), checks=0, index=0):
+        check = MacCheck(0, 0, session)
+        for sent, received in frames:
+            check.absorb([sent], received)
+        check._checks = checks
+        return check._collapsed(index, opened, First())
+
+    changes = [
+        {"session": b"another"},
+        {"frames": ()},
+        {"frames": ((b"one", b"tw0"),)},
+        {"frames": ((b"0ne", b"two"),)},
+        {"frames": ((b"one", b"two"), (b"", b"3"))},
+        {"checks": 1},
+        {"index": 1},
+    ]
+    found = [weights(), *(weights(**change) for change in changes)]
+    assert weights() == found[0] and len(set(found)) == len(found)

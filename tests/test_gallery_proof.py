@@ -69,8 +69,9 @@ def test_no_words_make_the_square_of_a_long_vector_small(galleries):
     for dim in (1, 4, 1536, 8192):
         terms = Terms(Product(), dim)
         assert 2 * dim * ((1 << terms.word_bits) - 1) ** 2 < P
-    with pytest.raises(ValueError, match="57 bits"):
-        Terms(Product(max_norm=2.0**21), 1536)
+    for max_norm in (2.0**15, 2.0**21):  # words of 59 bits, and none
+        with pytest.raises(ValueError, match="57 bits"):
+            Terms(Product(max_norm=max_norm), 1536)
 
 
 def edges(rng, dim):

@@ -48,7 +48,7 @@ def test_the_command_in_a_header_deals_the_same(purpose, monkeypatch):
 @pytest.mark.parametrize("security", ["malicious", "semi-honest"])
 def test_terms_are_what_was_asked_for(security):
     terms = OTHER.terms(None, security)
-    assert terms.program == SCORES["S6"].within(3.0)
+    assert terms.program == SCORES["S6"].within(3.0, min_norm=0.5)
     assert (terms.dim, terms.security, terms.resolution) == (5, security, None)
     assert (terms.min_norm, terms.proves) == (0.5, False)
     terms = GalleryPurpose("S10", 8).terms(0.5, security)

@@ -15,17 +15,19 @@ from gallery_session_helpers import (
     Near,
     Product,
     Twice,
+    burn_some,
     cables,
     expected,
     feed,
     no_errors,
+    prepare_at_a_time,
     table,
     unit_vectors,
 )
 
 from spdz.foundations.errors import TapeMismatch
 from spdz.readings.gallery import Terms
-from spdz.session import filling
+from spdz.readings.gallery_plan import measure_gallery
 from spdz.session.admission import quantised
 
 pytestmark = pytest.mark.usefixtures("no_sync")
@@ -39,19 +41,6 @@ def cut(rng, array, parts):
     return [array[a:b] for a, b in itertools.pairwise(edges)]
 
 
-def burn_some(monkeypatch, rng):
-    """Some masks do not suit, whatever is brought for the slot; the others are judged as ever."""
-    real, unlucky = filling.inside, {rng.randrange(97) for _ in range(8)}
-
-    def inside(words, bits, norm):
-        good = real(words, bits, norm)
-        for at, row in enumerate(words):
-            good[at] &= int(row[0]) % 97 not in unlucky
-        return good
-
-    monkeypatch.setattr("spdz.session.filling.inside", inside)
-
-
 @pytest.mark.parametrize("seed", range(GALLERIES))
 def test_random_galleries(galleries, monkeypatch, seed):
     rng, numbers = random.Random(seed), np.random.default_rng(seed)
@@ -63,7 +52,8 @@ def test_random_galleries(galleries, monkeypatch, seed):
     terms = Terms(program, dim, security, resolution=rng.choice([None, 16, 6]))
     counts = rng.choice([(1, 1), (1, 30), (40, 1), (rng.randint(1, 40), rng.randint(1, 60))])
     monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", rng.choice([1, 7, 50, 1 << 16]))
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", rng.choice([3, 128]))
+    monkeypatch.setattr("spdz.session.comparing.CELL_BYTES", rng.choice([3000, 64 << 20]))
+    prepare_at_a_time(monkeypatch, rng.choice([3, 128]))
     monkeypatch.setattr("spdz.session.filling.MOST", rng.choice([4, 4096]))
     voids = rng.random() < 0.5
     if voids:
@@ -122,6 +112,34 @@ def assert_clear(terms, plain, found):
     sure = (raw >= open_) | (raw < -open_) if open_ else np.ones(raw.shape, dtype=bool)
     assert (found == (raw >= 0))[sure].all()
     assert np.isin(found, (0, 1)).all()
+
+
+@pytest.mark.parametrize("security", ["malicious", "semi-honest"])
+def test_a_coarse_comparison_errs_by_half_a_step_on_either_side_and_no_more(galleries, security):
+    terms, rng = Terms(Product(0.2), 7, security, resolution=3), np.random.default_rng(4)
+    x, y = unit_vectors(rng, 40, 7), unit_vectors(rng, 40, 7)
+    found = no_errors(galleries(terms, (40, 40)).meet(feed([x]), feed([y])))
+    (block,) = found[0][0].blocks
+    raw, half = expected(terms, quantised(terms, x), quantised(terms, y))
+    assert half == 1 << 28
+    assert (block.results == (raw >= 0))[(raw >= half) | (raw < -half)].all()
+    unsure = block.results[(raw > -half) & (raw < half)]
+    wrong_below, wrong_above = (
+        block.results[(raw < 0) & (raw > -half)],
+        ~block.results[(raw >= 0) & (raw < half)],
+    )
+    assert len(unsure) > 100 and wrong_below.any() and wrong_above.any()
+
+
+def test_both_sides_cut_alike_where_one_of_them_stores_more(galleries, monkeypatch):
+    terms = Terms(Twice(), 4, "semi-honest")
+    stored = measure_gallery(terms).pair.correction_bytes
+    assert stored[0] != stored[1]
+    monkeypatch.setattr("spdz.session.comparing.CELL_BYTES", 4 * min(stored))
+    rng = np.random.default_rng(0)
+    x, y = unit_vectors(rng, 7, 4), unit_vectors(rng, 9, 4)
+    for (step,) in no_errors(galleries(terms, (7, 9)).meet(feed([x]), feed([y]))):
+        assert sum(block.results.size for block in step.blocks) == 63 and len(step.blocks) > 7
 
 
 @pytest.mark.parametrize("security", ["malicious", "semi-honest"])

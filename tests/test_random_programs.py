@@ -29,7 +29,7 @@ COUNT = int(os.environ.get("SPDZ_RANDOM_PROGRAMS", "300"))
 SEED = int(os.environ.get("SPDZ_RANDOM_SEED", "1"))
 CHUNK = 25
 
-REFUSALS = ("do not fit the field", "statistical security", "masks cancel")
+REFUSALS = ("do not fit the field", "wrap more often", "masks cancel")
 MOST_REFUSED = 0.25
 """More refusals would leave too little to look at."""
 

@@ -241,7 +241,7 @@ def test_a_program_that_could_leave_the_field_is_refused_before_it_runs():
 
 def test_a_score_that_is_too_wide_to_compare_is_refused_before_it_runs():
     wide = Score("wide", "", similarity=True, formula=formula(lambda x, y: dot(x, y) * 2**20))
-    with pytest.raises(ValueError, match="statistical security"):
+    with pytest.raises(ValueError, match="wrap more often"):
         run_local(is_candidate(wide, 0.5), X, Y)
 
 

@@ -30,7 +30,7 @@ WRAPS = P - (1 << 33)
 
 
 @contextmanager
-def wrapping(*which):
+def wrapping(*which, mask=WRAPS):
     """The first entry of these masks, counted from 0 as they are dealt, wraps."""
     drawn, count = recipe.uniform_below, [0]
 
@@ -38,7 +38,7 @@ def wrapping(*which):
         masks = drawn(limit, shape)
         assert limit == P, "a mask is uniform on the whole field"
         if count[0] in which:
-            masks.reshape(-1, 2)[0] = field.from_int(WRAPS)
+            masks.reshape(-1, 2)[0] = field.from_int(mask)
         count[0] += 1
         return masks
 
@@ -68,10 +68,10 @@ def test_a_number_is_given_up_below_a_power_of_two_exactly(bits):
     for number in ((1 << bits) - 1, 0, (1 << bits) // 3, 1 << (bits - 1)):
         for place in (0, 3):
             numbers = [P - 1, 1 << bits, 1 << 126, 1 << bits]
-            masking._refuse_wrapped(field.from_ints(numbers), bits)
+            masking._refuse_wrapped(field.from_ints(numbers), bits, 127)
             numbers[place] = number
             with pytest.raises(Wrapped, match=f"once in 2.{127 - bits} times: nothing was output"):
-                masking._refuse_wrapped(field.from_ints(numbers), bits)
+                masking._refuse_wrapped(field.from_ints(numbers), bits, 127)
 
 
 @pytest.mark.parametrize("bits", [35, 64, 86])
@@ -132,6 +132,23 @@ def test_nothing_is_output_and_the_next_job_is_right(tmp_path, name, security):
 def test_a_run_in_one_process_stops_as_well(name, security):
     with wrapping(0), pytest.raises(Wrapped):
         run_local(PROGRAMS[name], *DATA, security)
+
+
+async def cut_twice(engine, x, y):
+    (z,) = await truncate(dot(x[:, None], y[None]), frac=24)
+    (z,) = await truncate(z.plus_raw(1 << 26), frac=16)
+    return z
+
+
+cut_twice.max_norm = 1.0
+
+
+@any_security
+def test_a_mask_that_wraps_only_after_a_cut_is_noticed_then(security):
+    """rho = 2^33 opens no small number of a value of 34 bits; rho / 2^8 does, of one of 28 bits."""
+    with wrapping(0, mask=P - (1 << 34)), pytest.raises(Wrapped, match=r"once in 2.91 times"):
+        run_local(cut_twice, *DATA, security)
+    assert np.allclose(run_local(cut_twice, *DATA, security).value, DATA[0] @ DATA[1].T + 4, atol=2.0**-15)
 
 
 @any_security

@@ -14,8 +14,8 @@ zero vector is normalised to the zero vector.
 
 Cost: a DCF key of about log2(bound of u) + 2 levels, evaluated at four points an octave; 2 rounds and 4
 elements an entry, and a round and an element for step 3. Error: below 2^-16.4 of the result for alpha = -1,
-2^-17.4 for -1/2, 2^-18 for 1/2. Everything that is opened is below 2^86, so the statistical distance is below
-2^-40 each. Source: normalisation as in Catrina, Saxena, FC 2010, by function secret sharing.
+2^-17.4 for -1/2, 2^-18 for 1/2. Everything that is opened is below 2^86, so it is given up (`Wrapped`) once
+in 2^41 times at most. Source: normalisation as in Catrina, Saxena, FC 2010, by function secret sharing.
 Secure against malicious parties: composed of gates that are.
 """
 

@@ -104,9 +104,11 @@ class GalleryHeader(Header):
     @property
     def dealer_command(self) -> str:
         """The command that deals another of the same."""
-        command = self.dealing("score", "dim", "reveal", "max_norm", "resolution", "min_norm")
+        usual = {"reveal": "bit", "resolution": "2^-16", "min_norm": 0.0, "max_norm": 1.0}
+        unusual = [name for name, value in usual.items() if self.program.get(name, value) != value]
+        command = self.dealing("score", "dim", *unusual)
         proof = " --no-norm-proof" if self.program.get("norm_proof") is False else ""
-        return f"{command}{proof} --slots {'x'.join(map(str, self.slots))} --out FOLDER"
+        return f"{command}{proof} --slots RxC --out FOLDER"
 
 
 @dataclass(frozen=True, slots=True)

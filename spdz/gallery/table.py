@@ -66,6 +66,10 @@ class KeyTable:
         if self._erased:  # after a killed process the zeros may be in memory only
             sync(self._descriptor)
 
+    def is_erased(self, owner: int, band: int) -> bool:
+        """Whether a band was erased."""
+        return (owner, band) in self._erased
+
     def key(self, owner: int, band: int) -> bytes:
         """The key of a row band (of slots of party 0) or of a column band (of party 1).
 

@@ -33,7 +33,7 @@ FULL = 127
 """Bits of a fresh mask."""
 
 SECURITY_BITS = 40
-"""The statistical distance and the chance of a wrapped opening stay below 2^-40."""
+"""The chance of a wrapped opening stays below 2^-40."""
 
 
 def signed_bits(bound: int) -> int:
@@ -81,11 +81,11 @@ def _below(numbers: FieldArray, bits: int) -> npt.NDArray[np.bool_]:
     return np.asarray(above == 0)
 
 
-def _refuse_wrapped(c: FieldArray, bits: int) -> None:
-    """Give up a c that may have wrapped behind a uniform mask."""
+def _refuse_wrapped(c: FieldArray, bits: int, mask_bits: int) -> None:
+    """Give up a c that may have wrapped: whatever its mask, it is then below 2^bits."""
     if _below(c, bits).any():
         raise Wrapped(
-            f"an opened number may have wrapped behind its mask, which happens once in 2^{FULL - bits} "
+            f"an opened number may have wrapped behind its mask, which happens once in 2^{mask_bits - bits} "
             "times: nothing was output; run the next job"
         )
 
@@ -119,12 +119,12 @@ def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
             return Value(z.engine, parts, z.shape, z.frac, z.bound, masked=True), bits
     if bits + SECURITY_BITS >= z.mask_bits or z.span:
         raise ValueError(
-            f"a comparison or truncation over {bits} bits would leave less than 2^-{SECURITY_BITS} "
-            f"statistical security under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
+            f"a comparison or truncation over {bits} bits would wrap more often than once in "
+            f"2^{SECURITY_BITS} times under a mask of {z.mask_bits} bits: lower max_norm, truncate first, or "
             "mask the value anew"
         )
-    if z.mask_bits == FULL and isinstance(z.engine, Evaluation):
-        _refuse_wrapped(z.parts[0], bits)
+    if isinstance(z.engine, Evaluation):
+        _refuse_wrapped(z.parts[0], bits, z.mask_bits)
     return z, bits
 
 

@@ -91,6 +91,13 @@ class Terms:
         return word_bits((self.dim,), self.norm, SLOT_REJECTION)
 
     @property
+    def rule(self) -> str:
+        """What is computed, for people: ``S10 >= 0.8, to 2^-16``."""
+        named = type(self.program).__str__ is not object.__str__
+        what = str(self.program) if named else type(self.program).__name__
+        return what if self.resolution is None else f"{what}, to 2^-{self.resolution}"
+
+    @property
     def proves(self) -> bool:
         """Whether the norm of every slot is proved."""
         return self.proof and self.security == "malicious"

@@ -30,7 +30,7 @@ import numpy as np
 
 from spdz.arithmetic import field
 from spdz.arithmetic.weighted import bilinear
-from spdz.foundations.errors import MacCheckFailed
+from spdz.foundations.errors import MacCheckFailed, Wrapped
 from spdz.foundations.types import Block, Buffer, FieldArray
 from spdz.rounds.coroutine import Check, Exchange, Protocol
 
@@ -159,11 +159,18 @@ def drive(protocol: Protocol[T], mac_check: MacCheck | None) -> Generator[Exchan
 
     Raises:
         MacCheckFailed: when a check fails, or when the protocol ends with unchecked openings.
+        Wrapped: when an opened number may have wrapped, and carries a valid MAC.
     """
     reply: memoryview | None = None
     try:
         while True:
-            request = protocol.send(reply)
+            try:
+                request = protocol.send(reply)
+            except Wrapped:
+                if mac_check is not None and mac_check.pending:  # chance, or a lie?
+                    own = mac_check.message()
+                    mac_check.verify((yield Exchange([own], DIGEST_BYTES, 0, is_check=True)))
+                raise
             if isinstance(request, Check):
                 reply = None
                 if mac_check is not None:

@@ -37,3 +37,26 @@ def quantised(terms: Terms, descriptors: npt.ArrayLike) -> IntArray:
     if not len(array):
         return np.empty((0, terms.dim), dtype=np.int64)
     return encode(array, max_norm=terms.program.max_norm, min_norm=terms.min_norm)
+
+
+def pinned_text(plan: GalleryPlan, terms: Terms) -> bytes:
+    """What a gallery is pinned to: the fingerprint of what it computes, and the rule in words."""
+    return f"{plan.text} {terms.rule}".encode()
+
+
+def check_rule(pinned: bytes | None, plan: GalleryPlan, terms: Terms) -> None:
+    """Refuse another rule than the one that a gallery has answered.
+
+    Raises:
+        TapeMismatch: naming both.
+    """
+    if pinned is not None and pinned.split(b" ", 1)[0] != plan.text.encode():
+        raise TapeMismatch(
+            f"this gallery answers {pinned_rule(pinned)}, and its masks must never answer anything else, "
+            f"such as {terms.rule}: give the same threshold as before, or deal new tapes"
+        )
+
+
+def pinned_rule(pinned: bytes) -> str:
+    """The rule in words that a gallery is pinned to."""
+    return pinned.decode(errors="replace").partition(" ")[2] or "another program"

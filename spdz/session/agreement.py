@@ -10,7 +10,7 @@ import hashlib
 from typing import Any
 
 from spdz.channels import Channel, FrameKind
-from spdz.foundations.errors import MacCheckFailed, OutOfStep, ProtocolViolation, TapeMismatch
+from spdz.foundations.errors import MacCheckFailed, OutOfStep, PeerAborted, ProtocolViolation, TapeMismatch
 from spdz.foundations.types import Json
 from spdz.rounds.mac_check import MacCheck
 from spdz.session.handshake import canonical, read_object, shown
@@ -39,6 +39,7 @@ class Agreement:
 
         Raises:
             OutOfStep: if it has others.
+            PeerAborted: if it has ended (:meth:`end`).
             ProtocolViolation: if it is no JSON object.
             ChannelError: if the connection fails.
         """
@@ -52,11 +53,17 @@ class Agreement:
         if self._alpha is not None:
             self.mac_check = MacCheck(self._alpha, self._party, self._id)
         fields = read_object(reply)
+        if "end" in fields and "end" not in keys:
+            raise PeerAborted("the other robot has ended: it makes no further step")
         if set(fields) != set(keys):
             raise OutOfStep(
                 "the peer is at another step: both robots must make the same calls in the same order"
             )
         return fields
+
+    def end(self, number: int) -> dict[str, Any]:
+        """Tell the peer that nothing more comes after so many steps, and be told the same."""
+        return self.control({"end": number}, "end")
 
     def note(self, note: dict[str, Json]) -> dict[str, Any]:
         """Swap one small JSON object of the caller's."""

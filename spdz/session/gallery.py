@@ -25,7 +25,7 @@ from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.slots import Notes
-from spdz.gallery.strip import Strip
+from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -33,24 +33,16 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
-from spdz.session.admission import checked_plan, quantised
+from spdz.session.admission import check_rule, checked_plan, pinned_text, quantised
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
+from spdz.session.handshake import shown
 from spdz.session.lifecycle import Lifecycle
-from spdz.session.meeting import Standpoint, meet
+from spdz.session.meeting import PREPARED, Standpoint, meet
 from spdz.session.shelf import Shelf, configured
-from spdz.session.strips import (
-    Block,
-    Step,
-    decode_results,
-    oriented,
-    within,
-)
-
-_PREPARED = 128
-"""Slots prepared at a time."""
+from spdz.session.strips import Block, Step, held_slots, stored_blocks, within
 
 
 class GallerySession(Lifecycle):
@@ -84,7 +76,7 @@ class GallerySession(Lifecycle):
         self._ready = [0, 0]
         with self._guard():
             self._plan = checked_plan(tape, terms)
-            text = self._plan.text.encode()
+            text = pinned_text(self._plan, terms)
             self._filling = Filling(tape, terms, ledger, self._shelves, channel, text, self._waiting)
             self._comparing = Comparing(tape, terms, self._plan, ledger, self._shelves)
             own = handshake.Hello.of_gallery(tape.header)
@@ -113,26 +105,34 @@ class GallerySession(Lifecycle):
         """Own slots that are neither used nor waited for."""
         return self._filling.room
 
-    def require_room(self, more: int = 0) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for what waits and so many more descriptors."""
-        self._filling.refuse_more_than(self.room + len(self._waiting), len(self._waiting) + more)
+    def require_room(self, more: int) -> None:
+        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
+        self._filling.refuse_more_than(self.room, more)
 
     def results(self) -> Iterator[Block]:
         """All results so far, as they were committed, strip by strip."""
-        for strip, stored in self._ledger.results():
-            results = decode_results(strip, stored, bits=self._plan.bits)
-            yield oriented(self.party, (strip.rows, strip.columns, results))
+        return stored_blocks(self._ledger, self.party, bits=self._plan.bits)
 
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw."""
+        """The quantised descriptors in own slots, raw.
+
+        Raises:
+            ValueError: if a slot holds none.
+        """
+        if not set(slots) <= set(self.filled):
+            raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
         return self._shelves[self.party].plain(slots)
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether pairs of filled slots wait to be compared, as after a step that was broken off."""
+        first, second = self._ledger.slots
+        return bool(self._comparing.again or between(self._ledger.done, (first.filled, second.filled)))
 
     @property
     def filled(self) -> list[int]:
         """Own slots that hold a descriptor."""
-        own = self._ledger.slots[self.party]
-        void = set(own.voids)
-        return [slot for slot in range(own.filled) if slot not in void]
+        return held_slots(self._ledger, self.party)
 
     def add(self, descriptors: npt.ArrayLike) -> None:
         """Bring descriptors to the next step.
@@ -164,6 +164,8 @@ class GallerySession(Lifecycle):
         """
         with self._guard():
             step, more = Step() if into is None else into, True
+            mine, theirs = (self._ledger.slots[owner].voids for owner in (self.party, 1 - self.party))
+            step.forget(mine, theirs)
             while more:
                 with step.filling.timed() as stats:
                     more = self._filling.exchange(self._agreement, step)
@@ -177,6 +179,15 @@ class GallerySession(Lifecycle):
         """Swap one small public JSON object with the peer."""
         with self._guard():
             return self._agreement.note(note)
+
+    def part(self, steps: int) -> None:
+        """Part with the peer after so many steps.
+
+        Raises:
+            OutOfStep: if it goes on.
+        """
+        with self._guard():
+            self._agreement.end(steps)
 
     # -- the parts of a step -------------------------------------------------------------------------
 
@@ -218,9 +229,7 @@ class GallerySession(Lifecycle):
         return notes
 
     def _unready(self, owner: int) -> list[int]:
-        slots = self._ledger.slots[owner]
-        void = set(slots.voids)
-        return [slot for slot in range(self._ready[owner], slots.filled) if slot not in void][:_PREPARED]
+        return [slot for slot in held_slots(self._ledger, owner) if slot >= self._ready[owner]][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
         if proofs is not None and not proofs.all():
@@ -248,17 +257,14 @@ class GallerySession(Lifecycle):
     def _meet(self) -> None:
         """Compare accounts, make void what either has lost, and find the strip that was broken off."""
         own, ledger = Standpoint.of(self._ledger), self._ledger
-        text = self._plan.text
-        if ledger.text not in (None, text.encode()):
-            raise TapeMismatch(
-                "this gallery has answered another threshold, program or resolution, and its masks must "
-                "never answer two: use the same as before, or deal new tapes"
-            )
-        account = {**own.as_json(), "text": text}
+        rule = self._terms.rule
+        account = {**own.as_json(), "text": self._plan.text, "rule": rule[:120]}
         answer = self._agreement.control(account, *account)
-        if answer["text"] != text:
+        check_rule(ledger.text, self._plan, self._terms)
+        if answer["text"] != self._plan.text:
             raise TapeMismatch(
-                "the peer compares with another threshold, program or resolution: give both robots the same"
+                f"the peer computes {shown(answer['rule'], 120)} and this side {rule}: give both robots the "
+                "same threshold and program"
             )
         peer = Standpoint.read(answer, self._tape.header.capacity)
         agreed = meet(own, peer, self.party, self._plan)
@@ -277,8 +283,8 @@ class GallerySession(Lifecycle):
         """Read what earlier sessions have filled."""
         for shelf in self._shelves:
             slots = self._ledger.slots[shelf.owner]
-            for start in range(0, slots.filled, _PREPARED):
-                entries = list(enumerate(slots.eps(start, min(start + _PREPARED, slots.filled)), start))
+            for start in range(0, slots.filled, PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
                 self._filling.place(shelf.owner, entries)
                 ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
                 known = [slot for slot, words in entries if words is not None and slot < ready]

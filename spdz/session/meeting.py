@@ -23,6 +23,10 @@ MOST = 4096
 """Slots by which the two sides may differ, and slots that one may make void: it bounds what a lie costs."""
 
 
+PREPARED = 128
+"""Slots of a party that are prepared at a time."""
+
+
 @dataclass(frozen=True, slots=True)
 class Standpoint:
     """What one side says of itself.
@@ -103,8 +107,8 @@ def _whole(number: Any, most: int) -> int:
 
 def _slots(value: Any, filled: int) -> list[int]:
     runs = tuple((_whole(start, filled), _whole(stop, filled)) for start, stop in value)
-    if not are_runs(runs, filled):
-        raise ValueError("void slots are told as runs, in order")
+    if len(runs) > MOST or not are_runs(runs, filled):
+        raise ValueError("void slots are told as runs, in order, and not too many")
     return slots_in(runs)
 
 
@@ -156,8 +160,8 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
     void = [set(own.void[owner]) | set(peer.void[owner]) for owner in (0, 1)]
     void[1 - party] |= set(forgotten)
     for i in (0, 1):
-        if plan.slots[i].openings > 1:  # half prepared
-            void[i] |= set(range(min(own.ready[i], peer.ready[i]), min(own.filled[i], peer.filled[i])))
+        if plan.slots[i].openings > 1:
+            void[i] |= _half_prepared(own, peer, i, void[i])
     first, second = (sorted(slot for slot in void[i] if slot < own.filled[i]) for i in (0, 1))
     again, burn = _strips(own, peer, plan.pair.openings <= 1)
     for strip in (*again, *burn):
@@ -171,6 +175,14 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
             )
     ready = (min(own.ready[0], peer.ready[0]), min(own.ready[1], peer.ready[1]))
     return Agreed((first, second), max(0, missing), peer.filled[party], ready, again, burn)
+
+
+def _half_prepared(own: Standpoint, peer: Standpoint, owner: int, void: set[int]) -> set[int]:
+    """Slots that one side alone has prepared, and those that either may have begun with."""
+    ready, ahead = sorted((own.ready[owner], peer.ready[owner]))
+    both = min(own.filled[owner], peer.filled[owner])
+    begun = [slot for slot in range(ahead, both) if slot not in void][:PREPARED]
+    return {*range(ready, min(ahead, both)), *begun}
 
 
 def _strips(own: Standpoint, peer: Standpoint, repeatable: bool) -> tuple[list[Strip], list[Strip]]:

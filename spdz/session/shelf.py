@@ -63,13 +63,20 @@ class Shelf:
         """What the slots hold: words of shape (n, N)."""
         self._eps[list(slots)] = words
 
+    def read_masks(self, slots: Sequence[int]) -> None:
+        """Read the masks of own slots that :meth:`prepare` has not come to yet."""
+        if self._s is not None and slots:
+            self._s[list(slots)] = self.masks(slots)
+
     def plain(self, slots: Sequence[int]) -> IntArray:
-        """The raw vectors in own slots that hold something."""
+        """The raw vectors in own slots, shape (n, N)."""
         if not self._own:
             raise ValueError("only the owner knows what a slot holds")
-        if not slots:
-            return np.empty((0, self._terms.dim), dtype=np.int64)
-        return np.asarray(self._eps[list(slots)] - self.masks(slots))
+        result = np.empty((len(slots), self._terms.dim), dtype=np.int64)
+        for start in range(0, len(slots), _TOGETHER):
+            some = slots[start : start + _TOGETHER]
+            result[start : start + len(some)] = self._eps[list(some)] - self.masks(some)
+        return result
 
     def party(
         self, slots: Sequence[int], mac_check: MacCheck | None, alpha: int | None, stats: Stats
@@ -91,8 +98,7 @@ class Shelf:
         terms, index = self._terms, list(slots)
         mask, mac = party.input_mask(Input(self.owner, (len(index), terms.dim), terms.norm))
         words = self._eps[index]
-        if self._s is not None:
-            self._s[index] = self.masks(slots)
+        self.read_masks(slots)
         if self._mac is not None and mac is not None:
             self._mac[index] = mac
         shape = (len(index), terms.dim)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spdz.foundations.stats import Stats
+from spdz.gallery.ledger import Ledger
 from spdz.gallery.strip import Rectangle, Strip
 
 STRIP_PAIRS = 1 << 16
@@ -84,6 +85,11 @@ class Step:
         for phase in (self.filling, self.comparing):
             total.add(phase.stats)
         return total
+
+    def forget(self, own: Collection[int], peer: Collection[int]) -> None:
+        """Leave out slots that were lost since an earlier session has begun this step."""
+        self.own[:] = [slot for slot in self.own if slot not in own]
+        self.peer[:] = [slot for slot in self.peer if slot not in peer]
 
     @property
     def matches(self) -> list[tuple[int, int]]:
@@ -160,6 +166,19 @@ def decode_results(strip: Strip, stored: bytes, *, bits: bool) -> Results:
         .astype(np.bool_)
         .reshape(shape)
     )
+
+
+def held_slots(ledger: Ledger, owner: int) -> list[int]:
+    """Slots of one party that hold a descriptor."""
+    slots, void = ledger.slots[owner], set(ledger.slots[owner].voids)
+    return [slot for slot in range(slots.filled) if slot not in void]
+
+
+def stored_blocks(ledger: Ledger, party: int, *, bits: bool) -> Iterator[Block]:
+    """All results that a ledger keeps, as one party sees them, in the order in which they were committed."""
+    for strip, stored in ledger.results():
+        results = decode_results(strip, stored, bits=bits)
+        yield oriented(party, (strip.rows, strip.columns, results))
 
 
 def oriented(party: int, cell: Cell) -> Block:

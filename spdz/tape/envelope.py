@@ -59,10 +59,16 @@ KINDS = (JOBS, GALLERY)
 def is_gallery(path: Path) -> bool:
     """Whether a file begins as a gallery's tape does; False where it cannot be read."""
     try:
-        with path.open("rb") as file:
-            return file.read(len(GALLERY.magic)) == GALLERY.magic
+        # O_NONBLOCK: a named pipe must not make this wait for a writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:
         return False
+    try:
+        return os.pread(descriptor, len(GALLERY.magic), 0) == GALLERY.magic
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
 
 
 def encode_envelope(kind: Kind, header: Header) -> bytes:

@@ -60,7 +60,9 @@ class TapeHeader(Header):
     @property
     def dealer_command(self) -> str:
         """The command that deals more of the same."""
-        return f"{self.dealing('score', 'dim', 'reveal', 'tile', 'max_norm')} --count N --out FOLDER"
+        command = self.dealing("score", "dim", "reveal", "tile", "max_norm", "min_norm")
+        proof = " --norm-proof" if self.program.get("norm_proof") else ""
+        return f"{command}{proof} --count N --out FOLDER"
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from spdz.foundations.errors import TapeDamaged, TapeError
 from spdz.tape.advice import cannot_open, replacement
 from spdz.tape.durable import is_locked
 from spdz.tape.envelope import SECTOR
-from spdz.tape.format import Layout, TapeHeader, read_header
+from spdz.tape.format import TapeHeader, read_header
+from spdz.tape.header import Header
 from spdz.tape.high_water import default_state_dir, mark_path, read_mark
 from spdz.tape.state import State, latest_slot
 
@@ -76,8 +77,8 @@ def tape_status(path: Path, state_dir: Path | None = None) -> TapeStatus:
 
 def _status(descriptor: int, path: Path, folder: Path) -> TapeStatus:
     header, layout = read_header(descriptor, path)
-    in_use = is_locked(descriptor) or _mark_is_locked(mark_path(folder, header.tape, header.party))
-    state = _read_state(descriptor, layout)
+    in_use = is_in_use(descriptor, folder, header)
+    state = read_state(descriptor, layout.slots, layout.digest)
     mark = read_mark(folder, header.tape, header.party)
     destroyed = (mark is not None and mark.destroyed) or (state is not None and state.destroyed)
     used = max(mark.cursor if mark else 0, state.cursor if state else 0)
@@ -90,13 +91,21 @@ def _status(descriptor: int, path: Path, folder: Path) -> TapeStatus:
     return TapeStatus(header, layout.end, used, in_use, destroyed, rolled_back)
 
 
-def _read_state(descriptor: int, layout: Layout) -> State | None:
-    """The latest whole slot. Between two reads a writer may move on, so that neither is: then once more."""
+def is_in_use(descriptor: int, folder: Path, header: Header) -> bool:
+    """Whether a process has this tape open, or a copy of it; ``folder`` is the state folder."""
+    return is_locked(descriptor) or _mark_is_locked(mark_path(folder, header.tape, header.party))
+
+
+def read_state(descriptor: int, offset: int, binding: bytes) -> State | None:
+    """The latest whole state of those at ``offset``; ``binding`` is the header's digest.
+
+    Between two reads a writer may move on, so that neither is whole: then once more.
+    """
     for attempt in range(_READ_ATTEMPTS):
         if attempt:
             time.sleep(_READ_PAUSE)
-        slots = [os.pread(descriptor, SECTOR, layout.slots + place * SECTOR) for place in (0, 1)]
-        latest = latest_slot(slots, layout.digest)
+        slots = [os.pread(descriptor, SECTOR, offset + place * SECTOR) for place in (0, 1)]
+        latest = latest_slot(slots, binding)
         if latest is not None:
             return latest[1]
     return None
