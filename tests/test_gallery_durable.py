@@ -50,7 +50,8 @@ def no_slot_left(mission):
 
 @pytest.mark.parametrize("terms", [Terms(Product(), 4), Terms(Cosine(), 4)])
 def test_notes_are_durable_before_more_is_sent_however_many_slots_come(galleries, monkeypatch, terms):
-    monkeypatch.setattr("spdz.session.gallery._PREPARED", 2)
+    for module in ("gallery", "meeting"):
+        monkeypatch.setattr(f"spdz.session.{module}.PREPARED", 2)
     monkeypatch.setattr("spdz.session.filling.MOST", 3)
     mission = galleries(terms, (16, 16))
     no_errors(mission.meet(feed([X, X[:0]]), feed([Y[:4], Y[4:]]), kinds=(Checked, Checked)))
