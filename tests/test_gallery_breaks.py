@@ -343,7 +343,7 @@ def test_slots_of_which_the_owner_has_lost_ledger_and_mark_are_void(galleries):
 
 def test_a_side_that_stops_at_a_strip_of_void_slots_is_not_left_behind(galleries, monkeypatch):
     """Strips without a pair to compare take an exchange all the same."""
-    monkeypatch.setattr("spdz.session.gallery.STRIP_PAIRS", 1)
+    monkeypatch.setattr("spdz.session.comparing.STRIP_PAIRS", 1)
     terms, vectors = Terms(Product(), DIM), data()
     mission = galleries(terms, SLOTS)
     no_errors(mission.meet(*[feed([v[:2]]) for v in vectors]))
@@ -356,8 +356,8 @@ def test_a_side_that_stops_at_a_strip_of_void_slots_is_not_left_behind(galleries
             good[0] = False
         return good
 
-    def stops(ledger, strip):
-        begin(ledger, strip)
+    def stops(ledger, strip, notes):
+        begin(ledger, strip, notes)
         if ledger._journal.mark.party == 1 and not stopped:
             stopped.append(strip)
             raise Stop

@@ -6,6 +6,7 @@ import stat
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 from ledger_helpers import TAPE, Model, facts, head, mark_of, open_ledger, run
@@ -586,7 +587,9 @@ def change(folder, statement):
     base.close()
 
 
-@pytest.mark.parametrize("damage", [b"", b"x", b"\xff" * 3000, "short", "changed", "other party"])
+@pytest.mark.parametrize(
+    "damage", [b"", b"x", b"\xff" * 3000, "short", "changed", "in one sector", "other party"]
+)
 def test_damaged_mark_is_refused(folder, damage):
     with open_ledger(folder) as ledger:
         fill(ledger, 3, 3)
@@ -595,6 +598,8 @@ def test_damaged_mark_is_refused(folder, damage):
         damage = content[:-1]
     elif damage == "changed":
         damage = content.replace(b'"filled":3', b'"filled":2')
+    elif damage == "in one sector":
+        damage = b"".join(content[k : k + 4096].rstrip(b"\n").ljust(2048, b"\n") for k in (0, 4096))
     elif damage == "other party":
         open_ledger(folder / "bob", party=1, state_dir=folder / "state").close()
         damage = (folder / "state" / f"{TAPE}-1.gallery").read_bytes()
@@ -734,6 +739,25 @@ def test_fork_may_not_write_and_does_no_harm(folder):
     with open_ledger(folder) as ledger:
         assert ledger.slots[0].eps(0, ledger.slots[0].filled) == [bytes(100_000)] * int(done.stdout)
         assert ledger.slots[1].filled == 0
+
+
+def test_fork_waits_until_no_ledger_is_at_work(ledger):
+    entered, left = threading.Event(), []
+
+    def work():
+        with ledger._journal.at_work():
+            entered.set()
+            time.sleep(0.2)
+            left.append(True)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    entered.wait()
+    child = os.fork()
+    if child == 0:
+        os._exit(7 if left else 1)
+    thread.join()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
 
 
 def test_fork_of_this_process_is_refused(ledger):

@@ -98,7 +98,7 @@ class Journal:
         self._mark, self._ready = mark, True
 
     def pinned(self, text: bytes) -> Mark:
-        """The record with the program's text pinned; the record itself if it is so already.
+        """The record with the program's text pinned.
 
         Raises:
             TapeMismatch: Another one is pinned.
@@ -112,7 +112,7 @@ class Journal:
                 f"{self.path}: this gallery is pinned to another program, threshold or "
                 "resolution, and its masks must never answer two. Use those, or deal new tapes"
             )
-        return mark if mark.text is not None else replace(mark, text=text)
+        return replace(mark, text=text)
 
     def digests(self, owner: int, start: int = 0) -> list[bytes | None]:
         """Of a party's slots from ``start`` on; None for void ones."""

@@ -14,10 +14,10 @@ the file's mode, and another process may read with ``mode=ro``. The file without
 back is an older ledger, and so is one whose log ends in a torn step: the mark notices. Notes and results
 carry a checksum that binds them to their place; slots are held by the record's heads.
 
-SQLite must not be forked inside a transaction ("How To Corrupt An SQLite Database File", section 2.6), so a
-fork waits until no ledger of this process is at work. Nor may a child close what it has inherited: when the
-parent has let go of the file, SQLite would delete the log by its name, a later process's, with all that is in
-it. So the child never does.
+A fork waits until no ledger of this process is at work, so that the child finds SQLite whole when it opens
+its own. The child never closes what it has inherited ("How To Corrupt An SQLite Database File", section 2.6):
+when the parent has let go of the file, SQLite would delete the log by its name, a later process's, with all
+that is in it.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Comparing:
         connection: Connection,
         step: Step,
         on_block: Callable[[Block], None],
-        notes: tuple[Notes, Notes] = NO_NOTES,
+        notes: tuple[Notes, Notes],
     ) -> None:
         """Compare all pairs of filled slots that are not done.
 

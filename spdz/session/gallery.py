@@ -23,7 +23,7 @@ from spdz.channels import Channel, FrameKind
 from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Json
-from spdz.gallery.ledger import NO_NOTES, Ledger
+from spdz.gallery.ledger import Ledger
 from spdz.gallery.slots import Notes
 from spdz.gallery.strip import Strip, between
 from spdz.gallery.tape import GalleryTape
@@ -163,12 +163,11 @@ class GallerySession(Lifecycle):
             SpdzError: as any session. What was output stays true.
         """
         with self._guard():
-            step, more, notes = Step() if into is None else into, True, NO_NOTES
+            step, more = Step() if into is None else into, True
             mine, theirs = (self._ledger.slots[owner].voids for owner in (self.party, 1 - self.party))
             step.forget(mine, theirs)
             while more:
                 with step.filling.timed() as stats:
-                    self._ledger.note(notes)
                     more = self._filling.exchange(self._agreement, step)
                     self._begin()
                     notes = self._prepare(stats)
