@@ -9,26 +9,20 @@ number.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-import numpy as np
 import numpy.typing as npt
 
-from protocols.catalog import GalleryPurpose
-from protocols.reconnecting import FAREWELL, Reconnecting
+from protocols.gallery_contents import GalleryContents
+from protocols.reconnecting import FAREWELL
 from spdz.foundations.errors import ChannelError, OutOfStep, ProtocolViolation, SpdzError, TapeExhausted
-from spdz.foundations.types import IntArray
-from spdz.gallery import GalleryTape
-from spdz.gallery.format import GalleryHeader
 from spdz.readings.gallery import Terms
 from spdz.session import Block, GallerySession, Step, open_gallery
 from spdz.session.admission import quantised
 from spdz.session.connect import check_where
-from spdz.session.stored import Stored
 from spdz.session.turn import Turn
 
 Self = TypeVar("Self", bound="Gallery")
@@ -36,7 +30,7 @@ Self = TypeVar("Self", bound="Gallery")
 _MOST_STEPS = 1 << 53
 
 
-class Gallery(Reconnecting[GallerySession]):
+class Gallery(GalleryContents):
     """One robot's side of a gallery with one peer.
 
     ::
@@ -94,16 +88,9 @@ class Gallery(Reconnecting[GallerySession]):
             "state_dir": state_dir,
             "on_event": on_event,
         }
-        with GalleryTape.open(tape, state_dir=None if state_dir is None else Path(state_dir)) as opened:
-            self._header = opened.header
-        super().__init__(self._header.peer, on_event)
-        self._purpose = None if terms is not None else GalleryPurpose.from_json(self._header.program)
-        if terms is None:
-            terms = GalleryPurpose.from_json(self._header.program).terms(threshold, self._header.security)
-        self._tape, self._wait, self._threshold, self._terms = tape, wait, threshold, terms
+        super().__init__(tape, threshold, terms, state_dir, on_event)
+        self._wait = wait
         self._on_block = on_block
-        self._added: list[IntArray] = []  # by any thread; a step takes them when it begins
-        self._waiting: list[IntArray] = []  # what the sessions of a step bring
         self._step: Step | None = None
         self._number: int | None = None
         self._fresh = True
@@ -131,54 +118,12 @@ class Gallery(Reconnecting[GallerySession]):
         self._hang_up(error)
 
     @property
-    def header(self) -> GalleryHeader:
-        """The tape's header."""
-        return self._header
-
-    @property
-    def rule(self) -> str:
-        """What is decided, for people: ``S10 >= 0.8, to 2^-16``."""
-        return "a program of your own" if self._purpose is None else self._purpose.rule(self._threshold)
-
-    @property
     def partial(self) -> Step | None:
         """What no :meth:`step` has returned yet, as far as it was decided, checked and durable.
 
         That is a step under way or broken off, or what the peer got of its own when it was served.
         """
         return self._step
-
-    @property
-    def room(self) -> int:
-        """Own slots that are neither used nor waited for."""
-        with self._holding() as holder:
-            waiting = len(self._waiting) if isinstance(holder, Stored) else 0
-            return max(0, holder.room - waiting - len(self._added))
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether pairs wait that an earlier step was to compare."""
-        with self._holding() as holder:
-            return holder.unfinished
-
-    def check(self, descriptors: npt.ArrayLike) -> None:
-        """Refuse descriptors, or a rule, that do not suit the gallery, before the peer is looked for.
-
-        Raises:
-            ValueError: for descriptors that do not suit.
-            TapeMismatch: if the gallery has answered another threshold or program.
-        """
-        quantised(self._terms, descriptors)
-        with self._holding():
-            pass
-
-    def require_room(self, more: int) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
-        if more > self.room:
-            raise TapeExhausted(
-                f"this gallery has {self.room} slots left for {self._header.name} and {more} are needed. "
-                f"Nothing was used. Deal more: {self._header.dealer_command}"
-            )
 
     def connect(self) -> None:
         """Reach the peer now, within ``wait`` seconds, instead of with the first step."""
@@ -221,35 +166,6 @@ class Gallery(Reconnecting[GallerySession]):
             self._step = None
             return step
 
-    def results(self) -> Iterator[Block]:
-        """All results so far, of earlier runs too, strip by strip."""
-        with self._holding() as holder:
-            yield from holder.results()
-
-    @property
-    def filled(self) -> list[int]:
-        """Own slots that hold a descriptor, of earlier runs too."""
-        with self._holding() as holder:
-            return holder.filled
-
-    def holds(self, descriptors: npt.ArrayLike) -> int:
-        """How many descriptors this side has brought or will, if they are the first of these, in order.
-
-        Descriptors count whose slots were lost half prepared: the next step brings them once more.
-
-        Raises:
-            ValueError: if they are not.
-        """
-        raw = quantised(self._terms, descriptors)
-        with self._holding() as holder:
-            held = [*holder.plain(holder.filled), *self._waiting, *self._added]
-        if len(raw) < len(held) or not np.array_equal(raw[: len(held)], np.reshape(held, (-1, raw.shape[1]))):
-            raise ValueError(
-                f"the gallery holds {len(held)} descriptors already, and they are not the first {len(held)} "
-                "of these: give the whole map again, with what is new at its end"
-            )
-        return len(held)
-
     def finish(self) -> None:
         """Part with the peer, and let it have what it has missed of the last step.
 
@@ -269,16 +185,6 @@ class Gallery(Reconnecting[GallerySession]):
         except ChannelError as error:
             self._on_event(f"ended without {self._header.peer}: {error}")
         self._number = None
-
-    @contextmanager
-    def _holding(self) -> Iterator[GallerySession | Stored]:
-        """The open session, or what is stored."""
-        if self._session is not None:
-            yield self._session
-            return
-        state = self._where["state_dir"]
-        with Stored(Path(self._tape), self._terms, None if state is None else Path(state)) as stored:
-            yield stored
 
     def _open(self, wait: float) -> GallerySession:
         self._fresh = True

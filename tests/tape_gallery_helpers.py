@@ -39,7 +39,7 @@ def begun(mission):
     with ledger(mission) as one:
         one.slots[0].fill([(0, b"a"), (1, None), (2, b"c")])
         one.slots[1].fill([(0, b"d"), (1, b"e")])
-        one.pin_text(b"text")
+        one.pin_text(b"text S10 >= 0.2, to 2^-16")
         for strip in (Strip(range(1), range(2)), Strip(range(1, 2), range(2))):
             one.begin(strip)
             one.burn(strip) if strip.rows.start else one.commit(strip, b"\0")

@@ -211,6 +211,6 @@ def test_senseless_header_is_refused(change):
 def test_header_names_robots_and_the_dealers_command():
     assert (HEADER.name, HEADER.peer) == ("alice", "bob")
     assert HEADER.dealer_command == (
-        "python -m spdz.dealer --agents alice bob --score S10 --reveal bit --dim 8 --max-norm 1.5 "
-        "--security malicious --slots 17x5 --out FOLDER"
+        "python -m spdz.dealer --agents alice bob --score S10 --dim 8 --max-norm 1.5 "
+        "--security malicious --slots RxC --out FOLDER"
     )

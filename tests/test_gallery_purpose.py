@@ -35,7 +35,7 @@ def test_a_job_is_no_gallery():
 @pytest.mark.parametrize("purpose", [GalleryPurpose("S10", 8), OTHER], ids=str)
 def test_the_command_in_a_header_deals_the_same(purpose, monkeypatch):
     header, _ = headers_for(AGENTS, purpose, (17, 3), "semi-honest")
-    words = shlex.split(header.dealer_command.replace("FOLDER", "x"))
+    words = shlex.split(header.dealer_command.replace("FOLDER", "x").replace("RxC", "17x3"))
     assert words[:3] == ["python", "-m", "spdz.dealer"]
     dealt = []
     monkeypatch.setattr(cli.gallery_cli, "_deal", lambda given, purpose: dealt.append((given, purpose)))

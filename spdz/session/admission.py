@@ -52,8 +52,8 @@ def check_rule(pinned: bytes | None, plan: GalleryPlan, terms: Terms) -> None:
     """
     if pinned is not None and pinned.split(b" ", 1)[0] != plan.text.encode():
         raise TapeMismatch(
-            f"this gallery answers {pinned_rule(pinned)}, and its masks must never answer anything else, "
-            f"such as {terms.rule}: give the same threshold as before, or deal new tapes"
+            f"this gallery answers {pinned_rule(pinned)}, and its masks must never answer another threshold "
+            f"or program, such as {terms.rule}: give the same threshold as before, or deal new tapes"
         )
 
 
