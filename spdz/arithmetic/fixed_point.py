@@ -91,12 +91,18 @@ def encode(x: npt.ArrayLike, *, max_norm: float, min_norm: float = 0.0, name: st
     if not (squares <= limit * (1 - slack)).all():
         _explain_or_accept(real, scaled, squares, limit, slack, max_norm, name)
     raw = scaled.astype(np.int64)
-    least, _ = square_bounds(min_norm, max_norm, n)
-    for row in np.argwhere(squares < least * (1 + slack)):
+    if min_norm:
+        least, _ = square_bounds(min_norm, max_norm, n)
+        _refuse_short(raw, np.argwhere(squares < least * (1 + slack)), least, min_norm, name)
+    return raw
+
+
+def _refuse_short(raw: IntArray, rows: IntArray, least: int, min_norm: float, name: str) -> None:
+    """Raise for the first of these rows whose square is less than the least, in exact arithmetic."""
+    for row in rows:
         if sum(value * value for value in raw[tuple(row)].tolist()) < least:
             vector = f"the vector at {_position(row)}" if row.size else "the vector"
             raise ValueError(f"{name}: {vector} is shorter than {min_norm:g}, the smallest norm allowed here")
-    return raw
 
 
 def _real_array(x: npt.ArrayLike, name: str) -> FloatArray:
