@@ -102,7 +102,8 @@ class Shelf:
         if self._mac is not None and mac is not None:
             self._mac[index] = mac
         shape = (len(index), terms.dim)
-        parts = (field.from_int64(words), mask, mac) if self._malicious else (field.from_int64(words), mask)
+        eps = field.from_nonnegative(words)
+        parts = (eps, mask, mac) if self._malicious else (eps, mask)
         standing = replace(terms.standing(self.owner), eps=words)
         derived, proved = await fill(party, terms, terms.value(party, standing, shape, parts))
         self._keep(index, derived)

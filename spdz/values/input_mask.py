@@ -95,8 +95,10 @@ def hide(x: IntArray, r: FieldArray, mask_bits: int, norm: int) -> npt.NDArray[A
 
 
 def field_offsets(r: FieldArray) -> IntArray:
-    """The s of short masks r = -s: the low word of p - s is 2^64 - 1 - s."""
-    return np.where(r[..., 1] == 0, r[..., 0], ~r[..., 0]).view(np.int64)
+    """The s of short masks r = -s: the low word of p - s is 2^64 - 1 - s; 0 is 0 in both words."""
+    s: npt.NDArray[np.uint64] = ~r[..., 0]
+    s += r[..., 1] == 0
+    return s.view(np.int64)
 
 
 def inside(words: IntArray, mask_bits: int, norm: int) -> npt.NDArray[np.bool_]:
