@@ -98,6 +98,12 @@ def test_words_of_every_length_are_masked_packed_and_read_back(bits):
     assert np.array_equal(unpack(pack(cube, bits).tobytes(), cube.shape, bits, 0), cube)
 
 
+def test_words_and_their_offsets_are_elements_and_back():
+    edges = np.array([[0, 1, 2], [5, 2**52 - 1, 2**62], [2**63 - 2, 2**63 - 1, 3]])
+    assert np.array_equal(input_mask.as_elements(edges), field.from_int64(edges))
+    assert np.array_equal(input_mask.field_offsets(field.from_int64(-edges)), edges)
+
+
 def test_long_masks_are_elements():
     pad = np.array([[5, 6], [7, 8]], dtype=np.uint64)
     assert input_mask.from_pad(pad, LONG) is pad

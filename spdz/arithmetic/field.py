@@ -105,13 +105,6 @@ def from_int64(x: IntArray) -> FieldArray:
     return result
 
 
-def from_nonnegative(x: IntArray) -> FieldArray:
-    """Integers of shape S in [0, 2^63), such as words: what :func:`from_int64` gives, but quicker."""
-    result = np.zeros((*x.shape, 2), dtype=np.uint64)
-    result[..., 0] = x
-    return result
-
-
 def from_blocks(blocks: Block) -> FieldArray:
     """Uniform 128-bit blocks of shape S + (2,) to elements: the top bit is cleared and p becomes 0.
 

@@ -60,7 +60,7 @@ class MaskedInput(Gate):
             else:
                 words = _decoded(reply[start : start + sizes[i]], source, bits)
                 start += sizes[i]
-            eps = words if bits == input_mask.LONG else field.from_nonnegative(words)
+            eps = words if bits == input_mask.LONG else input_mask.as_elements(words)
             value = Value(
                 party,
                 (eps, mask, mac) if party.malicious else (eps, mask),

@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from spdz.arithmetic import field
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray
 from spdz.gallery.tape import GalleryTape
@@ -24,7 +23,7 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import run_silently
 from spdz.rounds.mac_check import MacCheck
 from spdz.values.engine import Input
-from spdz.values.input_mask import offsets
+from spdz.values.input_mask import as_elements, offsets
 from spdz.values.value import Value
 
 AnyParty = TypeVar("AnyParty", bound=Party)
@@ -102,7 +101,7 @@ class Shelf:
         if self._mac is not None and mac is not None:
             self._mac[index] = mac
         shape = (len(index), terms.dim)
-        eps = field.from_nonnegative(words)
+        eps = as_elements(words)
         parts = (eps, mask, mac) if self._malicious else (eps, mask)
         standing = replace(terms.standing(self.owner), eps=words)
         derived, proved = await fill(party, terms, terms.value(party, standing, shape, parts))
