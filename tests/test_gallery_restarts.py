@@ -91,7 +91,8 @@ def test_a_robot_that_was_restarted_within_a_step_adds_the_rest_and_goes_on(miss
             assert np.array_equal(again._session.plain(again.filled), np.rint(maps()[1] * 65536))
             return done, list(again.results())
 
-    first, second = robots(mission, Link([(1, limit)]), work)
+    # A robot that is through with all waits so long for one that is restarted.
+    first, second = robots(mission, Link([(1, limit)]), work, farewell=10.0)
     check_first(first)
     assert not isinstance(second, Exception), second
     decided(second[1], 1)
