@@ -85,7 +85,9 @@ class Agent:
         plan = self.folder.mission
         limit = plan.budgets.strikes if strikes is None else strikes
         if limit < 1:
-            raise ValueError("strikes are 1 or more: a peer that may have none could not be compared with at all")
+            raise ValueError(
+                "strikes are 1 or more: a peer that may have none could not be compared with at all"
+            )
         self._galleries: dict[str, GalleryPlan] = {gallery.name: gallery for gallery in plan.galleries}
         self._terms = {name: gallery.terms(plan.security) for name, gallery in self._galleries.items()}
         self._records = Records(self.folder.path, self.folder.mission_id)
@@ -207,7 +209,7 @@ class Agent:
         return described
 
     def events(self, timeout: float | None = None) -> Iterator[Event]:
-        """Events as they come, until there is none for ``timeout`` seconds (None: for ever) or it is stopped."""
+        """Events as they come, until none comes for ``timeout`` seconds (None: for ever) or it is stopped."""
         return self._hub.read(timeout)
 
     def matches(self, timeout: float | None = None, *, again: bool = False) -> Iterator[Match]:
@@ -248,7 +250,9 @@ class Agent:
             ValueError: if it is no peer.
         """
         if peer not in self.peers:
-            raise ValueError(f"{peer!r:.40} is no peer of {self.robot}; its peers are {', '.join(self.peers)}")
+            raise ValueError(
+                f"{peer!r:.40} is no peer of {self.robot}; its peers are {', '.join(self.peers)}"
+            )
         count = self._desk.matches.forgive(peer)
         for link in self._links:
             link.wake()
@@ -275,5 +279,6 @@ class Agent:
     def _peers(self) -> list[Peer]:
         budgets = self.folder.mission.budgets
         return [
-            Peer(name, Rate(budgets.pairs_per_minute), Rate(budgets.matches_per_minute)) for name in self.peers
+            Peer(name, Rate(budgets.pairs_per_minute), Rate(budgets.matches_per_minute))
+            for name in self.peers
         ]

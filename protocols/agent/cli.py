@@ -32,8 +32,8 @@ _METRICS_EVERY = 2.0
 _EPILOG = """\
 Keyframes come from Python (docs/how-to.md), from a folder (--watch) or as JSON lines (--stdin):
   {"keyframe": 17, "stamp": 1.5, "descriptors": {"lidar": [0.1, ...]}, "payload": "<base64>"}
-A watched folder takes 17.npz (an array for each descriptor; perhaps payload and stamp), 17.npy (where the plan has
-one descriptor) and files of such lines. A file that is half written is read when it is whole.
+A watched folder takes 17.npz (an array for each descriptor; perhaps payload and stamp), 17.npy (where the
+plan has one descriptor) and files of such lines. A file that is half written is read when it is whole.
 
 Matches are printed one a line, with --json as JSON, each once over all restarts:
   candidate   the descriptors match: both robots now show each other this one keyframe, and nothing else
@@ -52,28 +52,53 @@ def add_agent(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     arguments = commands.add_parser(
         "agent",
         help="stream keyframes, match them with all peers, and verify what matches",
-        description="Runs one robot of a mission: takes keyframes, compares their descriptors privately with those of "
-        "all peers, exchanges the keyframes of what matches, and goes on after lost links and restarts.",
+        description="Runs one robot of a mission: takes keyframes, compares their descriptors privately with "
+        "those of all peers, shows them the keyframes of what matches, and goes on after lost links and "
+        "restarts.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = arguments.add_argument
-    add("--mission", type=Path, required=True, metavar="DIR", help="this robot's folder, such as mission/alice")
+    add(
+        "--mission",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="this robot's folder, such as mission/alice",
+    )
     add("--listen", metavar="HOST:PORT", help="its one port for all peers (default: the plan's)")
-    add("--peer", action="append", default=[], metavar="NAME=HOST:PORT", help="where a peer listens, if not as planned")
+    add(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME=HOST:PORT",
+        help="where a peer listens, if not as planned",
+    )
     add("--watch", type=Path, metavar="FOLDER", help="take keyframes from a folder")
     add("--stdin", action="store_true", help="take keyframes as JSON lines from standard input")
     add("--verify", metavar="MODULE:FUNCTION", help="what says whether two keyframes show the same place")
     add("--strikes", type=int, metavar="N", help="strikes until a peer is stopped (default: the plan's)")
     add("--forgive", metavar="PEER", help="forget a stopped peer's strikes and go on with it")
     add("--again", action="store_true", help="print all matches of earlier runs as well")
-    add("--grace", type=float, default=30.0, metavar="S", help="seconds a peer may take to show its half (30)")
+    add(
+        "--grace", type=float, default=30.0, metavar="S", help="seconds a peer may take to show its half (30)"
+    )
     add("--timeout", type=float, default=30.0, metavar="S", help="seconds that one round may take (30)")
     add("--for", dest="seconds", type=float, metavar="S", help="end after so many seconds (default: Ctrl-C)")
-    add("--until-quiet", dest="quiet_seconds", type=float, metavar="S",
-        help="end when all is compared and settled, and nothing new has come for so many seconds")  # fmt: skip
+    add(
+        "--until-quiet",
+        dest="quiet_seconds",
+        type=float,
+        metavar="S",
+        help="end when all is compared and settled, and nothing new has come for so many seconds",
+    )
     add("--state-dir", type=Path, metavar="DIR", help="where the second record of what was used is kept")
-    add("--metrics", type=Path, metavar="FILE", help="keep numbers for machines in a file (Prometheus' text format)")
+    add(
+        "--metrics",
+        type=Path,
+        metavar="FILE",
+        help="keep numbers for machines in a file (Prometheus' text format)",
+    )
     add("--json", action="store_true", help="every event and match as one JSON object a line")
     add("--quiet", action="store_true", help="matches alone")
     arguments.set_defaults(run=run_agent)
@@ -99,7 +124,10 @@ def run_agent(options: argparse.Namespace) -> int:
         try:
             if options.forgive is not None:
                 count = agent.forgive(options.forgive)
-                _say(options, Event("forgiven", f"{count} strikes of {options.forgive} are forgiven", options.forgive))
+                _say(
+                    options,
+                    Event("forgiven", f"{count} strikes of {options.forgive} are forgiven", options.forgive),
+                )
         except ValueError as error:
             say_error(NAME, "ValueError", str(error), as_json=options.json)
             return 2

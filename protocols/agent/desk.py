@@ -92,4 +92,4 @@ class Desk:
 
     def tell(self, name: str, text: str, peer: str = "", gallery: str = "", **fields: object) -> None:
         """Hand on an event."""
-        self.hub.tell(Event(name, text, peer, gallery, fields))  # type: ignore[arg-type]
+        self.hub.tell(Event(name, text, peer, gallery, fields))

@@ -52,7 +52,9 @@ class Match:
     def __str__(self) -> str:
         peer_keyframe = "?" if self.peer_keyframe is None else self.peer_keyframe
         reason = f" ({printable(self.why)})" if self.why else ""
-        return f"{self.state}: {self.gallery} keyframe {self.keyframe} and {self.peer}'s {peer_keyframe}{reason}"
+        return (
+            f"{self.state}: {self.gallery} keyframe {self.keyframe} and {self.peer}'s {peer_keyframe}{reason}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

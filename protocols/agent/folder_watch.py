@@ -2,8 +2,8 @@
 
 ``17.npz`` has an array a descriptor, perhaps ``stamp`` and ``payload`` (uint8); ``17.npy`` is the only
 descriptor of a plan that has one; ``*.json`` and ``*.jsonl`` have the lines of :mod:`protocols.agent.lines`.
-The number in a name is the keyframe's. Whoever writes files here writes them elsewhere and renames them, or just
-writes them: a file that cannot be read is tried again when it has changed, and named when it has not for a while.
+The number in a name is the keyframe's. Files may be renamed into the folder or written in place: one that
+cannot be read is tried again when it has changed, and named when it has not for a while.
 """
 
 from __future__ import annotations
@@ -50,7 +50,11 @@ class FolderWatch:
     """
 
     def __init__(
-        self, folder: Path, descriptor: str | None, add: Callable[[Given], None], refuse: Callable[[str], None]
+        self,
+        folder: Path,
+        descriptor: str | None,
+        add: Callable[[Given], None],
+        refuse: Callable[[str], None],
     ) -> None:
         self._folder, self._descriptor, self._add, self._refuse = folder, descriptor, add, refuse
         self._seen: dict[str, _Seen] = {}
@@ -110,7 +114,11 @@ def read_file(path: Path, descriptor: str | None) -> list[Given]:
         raise ValueError("its name has no number: call it NUMBER.npz")
     try:
         loaded = np.load(path, allow_pickle=False)
-        arrays = {None: loaded} if isinstance(loaded, np.ndarray) else {name: loaded[name] for name in loaded.files}
+        arrays = (
+            {None: loaded}
+            if isinstance(loaded, np.ndarray)
+            else {name: loaded[name] for name in loaded.files}
+        )
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise NotWhole(f"it cannot be read as {path.suffix}: {error!s:.80}") from None
     if None in arrays:

@@ -73,7 +73,9 @@ class Keyframes:
             if held and held != [(keyframe.payload,)]:
                 raise ValueError(f"there is a keyframe {keyframe.id} already, with another payload")
             if not held:
-                records.run("INSERT INTO keyframes VALUES (?, ?, ?)", keyframe.id, keyframe.stamp, keyframe.payload)
+                records.run(
+                    "INSERT INTO keyframes VALUES (?, ?, ?)", keyframe.id, keyframe.stamp, keyframe.payload
+                )
             for gallery, one in described.items():
                 digest = digest_of(one.raw)
                 there = records.all(
@@ -99,13 +101,17 @@ class Keyframes:
         if not rows:
             return None
         stamp, payload, vector = rows[0]
-        return Keyframe(number, None if vector is None else np.frombuffer(vector, dtype="<f8"), payload, stamp)
+        return Keyframe(
+            number, None if vector is None else np.frombuffer(vector, dtype="<f8"), payload, stamp
+        )
 
     def count(self, gallery: str) -> int:
         """How many keyframes a gallery has been given."""
         return int(self._records.all("SELECT count(*) FROM vectors WHERE gallery = ?", gallery)[0][0])
 
-    def waiting(self, peer: str, gallery: str, besides: Iterable[bytes] = (), most: int = 1 << 30) -> list[Waiting]:
+    def waiting(
+        self, peer: str, gallery: str, besides: Iterable[bytes] = (), most: int = 1 << 30
+    ) -> list[Waiting]:
         """Keyframes that are in no slot of a gallery, in the order in which they came.
 
         Args:
@@ -130,7 +136,9 @@ class Keyframes:
     def slots(self, peer: str, gallery: str) -> dict[int, int | None]:
         """Which keyframe is in which own slot, as far as it is known."""
         return dict(
-            self._records.all("SELECT slot, keyframe FROM slots WHERE peer = ? AND gallery = ?", peer, gallery)
+            self._records.all(
+                "SELECT slot, keyframe FROM slots WHERE peer = ? AND gallery = ?", peer, gallery
+            )
         )
 
     def place(self, peer: str, gallery: str, slots: Mapping[int, bytes], lost: Iterable[int]) -> None:
@@ -145,7 +153,9 @@ class Keyframes:
         records = self._records
         with records.transaction():
             for slot in lost:
-                records.run("DELETE FROM slots WHERE peer = ? AND gallery = ? AND slot = ?", peer, gallery, slot)
+                records.run(
+                    "DELETE FROM slots WHERE peer = ? AND gallery = ? AND slot = ?", peer, gallery, slot
+                )
             if not slots:
                 return
             unplaced: dict[bytes, list[int]] = {}

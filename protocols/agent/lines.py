@@ -1,4 +1,4 @@
-"""Keyframes as JSON: ``{"keyframe": 17, "stamp": 1.5, "descriptors": {"lidar": [...]}, "payload": "<base64>"}``."""
+"""Keyframes as JSON: ``{"keyframe": 17, "descriptors": {"lidar": [...]}, "stamp": 1.5, "payload": ...}``."""
 
 from __future__ import annotations
 
@@ -40,10 +40,14 @@ def read_line(line: str | bytes) -> Given:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"a line is not JSON: {error!s:.80}") from None
     if not isinstance(entry, dict) or not {"keyframe", "descriptors"} <= set(entry) <= set(_FIELDS):
-        raise ValueError(f"a line is an object with keyframe and descriptors, perhaps {' and '.join(_FIELDS[2:])}")
+        raise ValueError(
+            f"a line is an object with keyframe and descriptors, perhaps {' and '.join(_FIELDS[2:])}"
+        )
     number = check_id(entry["keyframe"])
     try:
-        return Given(number, _arrays(entry["descriptors"]), _payload(entry.get("payload")), _stamp(entry.get("stamp")))
+        return Given(
+            number, _arrays(entry["descriptors"]), _payload(entry.get("payload")), _stamp(entry.get("stamp"))
+        )
     except ValueError as error:
         raise ValueError(f"keyframe {number}: {error}") from None
 

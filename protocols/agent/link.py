@@ -1,9 +1,8 @@
-"""One gallery with one peer, for as long as the agent runs: connect, take turns, lose the line, connect again."""
+"""One gallery with one peer, while the agent runs: connect, take turns, lose the line, connect again."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -170,8 +169,8 @@ class Link:
             self._state, self._why = "stopped", strikes[-1]
             self._tell(
                 "stopped",
-                f"{self.peer} has {len(strikes)} strikes (the last: {strikes[-1]}): it is not compared with any "
-                f"more until you say so: python -m spdz agent --forgive {self.peer}, or agent.forgive()",
+                f"{self.peer} has {len(strikes)} strikes (the last: {strikes[-1]}): it is not compared with "
+                f"until you say so: python -m spdz agent --forgive {self.peer}, or agent.forgive()",
                 strikes=len(strikes),
             )
         self._desk.stop.wait(1.0)

@@ -43,9 +43,9 @@ class Matches:
         with records.transaction():
             for slot, peer_slot in pairs:
                 new = records.run(
-                    "INSERT OR IGNORE INTO matches (peer, gallery, slot, peer_slot, keyframe, state) VALUES "
-                    "(?1, ?2, ?3, ?4, (SELECT keyframe FROM slots WHERE peer = ?1 AND gallery = ?2 AND slot = ?3), "
-                    "'candidate')", peer, gallery, slot, peer_slot,
+                    "INSERT OR IGNORE INTO matches (peer, gallery, slot, peer_slot, keyframe, state) "
+                    "VALUES (?1, ?2, ?3, ?4, (SELECT keyframe FROM slots "
+                    "WHERE peer = ?1 AND gallery = ?2 AND slot = ?3), 'candidate')", peer, gallery, slot, peer_slot,
                 )  # fmt: skip
                 if new:
                     news.append(self._tell(self._number(peer, gallery, (slot, peer_slot)), "candidate"))
@@ -99,8 +99,8 @@ class Matches:
     def unverified(self, peer: str, gallery: str) -> list[tuple[int, Pair, int | None]]:
         """Matches that both robots have shown and no verdict is given of: number, slots, own keyframe."""
         rows = self._records.all(
-            "SELECT m.match, m.slot, m.peer_slot, m.keyframe FROM matches m JOIN opened o ON o.peer = m.peer AND "
-            "o.gallery = m.gallery AND o.slot = m.peer_slot WHERE m.peer = ? AND m.gallery = ? "
+            "SELECT m.match, m.slot, m.peer_slot, m.keyframe FROM matches m JOIN opened o "
+            "ON o.peer = m.peer AND o.gallery = m.gallery AND o.slot = m.peer_slot WHERE m.peer = ? AND m.gallery = ? "
             "AND m.state IN ('candidate', 'withheld') ORDER BY m.match", peer, gallery,
         )  # fmt: skip
         return [(match, (slot, peer_slot), keyframe) for match, slot, peer_slot, keyframe in rows]
@@ -125,7 +125,9 @@ class Matches:
         match = self._number(peer, gallery, pair)
         with self._records.transaction():
             changed = self._records.run(
-                "UPDATE matches SET state = 'withheld', why = ? WHERE match = ? AND state = 'candidate'", why, match
+                "UPDATE matches SET state = 'withheld', why = ? WHERE match = ? AND state = 'candidate'",
+                why,
+                match,
             )
             if not changed:
                 return None
@@ -145,8 +147,8 @@ class Matches:
         with self._records.transaction():
             for one in outcomes:
                 self._records.run(
-                    "UPDATE matches SET told = 1 WHERE peer = ? AND gallery = ? AND slot = ? AND peer_slot = ? "
-                    "AND state = ?", peer, gallery, *one.pair, one.state,
+                    "UPDATE matches SET told = 1 WHERE peer = ? AND gallery = ? AND slot = ? "
+                    "AND peer_slot = ? AND state = ?", peer, gallery, *one.pair, one.state,
                 )  # fmt: skip
 
     def hear(self, peer: str, gallery: str, outcomes: Iterable[Outcome]) -> None:
@@ -154,7 +156,8 @@ class Matches:
         with self._records.transaction():
             for one in outcomes:
                 self._records.run(
-                    "UPDATE matches SET peer_state = ? WHERE peer = ? AND gallery = ? AND slot = ? AND peer_slot = ?",
+                    "UPDATE matches SET peer_state = ? WHERE peer = ? AND gallery = ? AND slot = ? "
+                    "AND peer_slot = ?",
                     one.state, peer, gallery, *one.pair,
                 )  # fmt: skip
 
@@ -162,16 +165,24 @@ class Matches:
 
     def outstanding(self, peer: str, gallery: str | None = None) -> int:
         """Matches with a peer, in a gallery or in all, that are neither verified nor a strike yet."""
-        query = "SELECT count(*) FROM matches WHERE peer = ?1 AND state = 'candidate' AND (?2 IS NULL OR gallery = ?2)"
+        query = (
+            "SELECT count(*) FROM matches WHERE peer = ?1 AND state = 'candidate' "
+            "AND (?2 IS NULL OR gallery = ?2)"
+        )
         return int(self._records.all(query, peer, gallery)[0][0])
 
     def strikes(self, peer: str) -> list[str]:
         """Why a peer has strikes, oldest first."""
-        return [why for (why,) in self._records.all("SELECT why FROM strikes WHERE peer = ? ORDER BY number", peer)]
+        return [
+            why
+            for (why,) in self._records.all("SELECT why FROM strikes WHERE peer = ? ORDER BY number", peer)
+        ]
 
     def strike(self, peer: str, why: str) -> None:
         """Hold something against a peer that is about no match."""
-        self._records.run("INSERT INTO strikes (peer, why, at) VALUES (?, ?, ?)", peer, why[:200], time.time())
+        self._records.run(
+            "INSERT INTO strikes (peer, why, at) VALUES (?, ?, ?)", peer, why[:200], time.time()
+        )
 
     def forgive(self, peer: str) -> int:
         """Forget a peer's strikes; returns how many there were. What was seen is kept."""
@@ -217,8 +228,8 @@ class Matches:
 
 
 _NEWS = (
-    "SELECT n.number, n.match, m.peer, m.gallery, m.keyframe, o.keyframe, n.state, m.why, m.transform, m.weight, "
-    "m.peer_state FROM news n JOIN matches m ON m.match = n.match LEFT JOIN opened o ON o.peer = m.peer AND "
+    "SELECT n.number, n.match, m.peer, m.gallery, m.keyframe, o.keyframe, n.state, m.why, m.transform, "
+    "m.weight, m.peer_state FROM news n JOIN matches m ON m.match = n.match LEFT JOIN opened o ON o.peer = m.peer AND "
     "o.gallery = m.gallery AND o.slot = m.peer_slot"
 )
 

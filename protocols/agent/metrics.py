@@ -48,4 +48,6 @@ def _lines(status: Mapping[str, Any]) -> Iterator[str]:
     yield "# HELP spdz_matches Matches by what became of them."
     yield "# TYPE spdz_matches gauge"
     for labels, one in galleries:
-        yield from (f'spdz_matches{{{labels},state="{state}"}} {n}' for state, n in sorted(one["matches"].items()))
+        yield from (
+            f'spdz_matches{{{labels},state="{state}"}} {n}' for state, n in sorted(one["matches"].items())
+        )

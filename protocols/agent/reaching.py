@@ -104,7 +104,7 @@ class Reaching:
         return dial(address, credentials, peer, gallery, wait=_CALL, timeout=desk.timeout)
 
     def _answered(self, robot: str, peer: str, own: str) -> bool:
-        """Whether this robot listens for a peer: the first of a pair does, unless only the second can be found."""
+        """Whether this robot is called: the first of a pair is, unless only the second has an address."""
         order = [agent.name for agent in self._folder.mission.agents]
         first = order.index(robot) < order.index(peer)
         mine, theirs = own != AUTO, self._addresses[peer] != AUTO

@@ -38,7 +38,10 @@ def _reason(peer: str, state: str, why: str, counts: Mapping[str, Any], found: i
     if not counts["peer_held"]:
         return "no-peer-keyframes", f"{peer} has no keyframes yet"
     if not found:
-        return "below-threshold", f"{counts['pairs']:,} pairs were compared with {peer}, none past the threshold"
+        return (
+            "below-threshold",
+            f"{counts['pairs']:,} pairs were compared with {peer}, none past the threshold",
+        )
     if matches.get("candidate"):
         return "unsettled", f"{matches['candidate']} matches with {peer} wait to be shown or verified"
     if matches.get("withheld") == found:

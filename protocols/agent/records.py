@@ -29,24 +29,37 @@ from spdz.tape.durable import create_private, sync_folder
 
 FILE = "agent.db"
 _APPLICATION = 0x73706167  # "spag"
-_TABLES = (
-    "CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL)",
-    "CREATE TABLE keyframes (id INTEGER PRIMARY KEY, stamp REAL, payload BLOB NOT NULL)",
-    "CREATE TABLE vectors (place INTEGER PRIMARY KEY AUTOINCREMENT, gallery TEXT NOT NULL, "
-    "keyframe INTEGER NOT NULL, digest BLOB NOT NULL, vector BLOB NOT NULL, UNIQUE (gallery, keyframe))",
-    "CREATE TABLE slots (peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL, "
-    "keyframe INTEGER, PRIMARY KEY (peer, gallery, slot))",
-    "CREATE TABLE matches (match INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT NOT NULL, gallery TEXT NOT NULL, "
-    "slot INTEGER NOT NULL, peer_slot INTEGER NOT NULL, keyframe INTEGER, state TEXT NOT NULL, "
-    "why TEXT NOT NULL DEFAULT '', transform TEXT, weight REAL, peer_state TEXT, told INTEGER NOT NULL DEFAULT 0, "
-    "UNIQUE (peer, gallery, slot, peer_slot))",
-    "CREATE TABLE opened (peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER, "
-    "stamp REAL, vector BLOB NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (peer, gallery, slot))",
-    "CREATE TABLE news (number INTEGER PRIMARY KEY AUTOINCREMENT, match INTEGER NOT NULL, state TEXT NOT NULL, "
-    "UNIQUE (match, state))",
-    "CREATE TABLE strikes (number INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT NOT NULL, match INTEGER UNIQUE, "
-    "why TEXT NOT NULL, at REAL NOT NULL)",
-)
+_SCHEMA = """
+CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE keyframes (id INTEGER PRIMARY KEY, stamp REAL, payload BLOB NOT NULL);
+CREATE TABLE vectors (
+    place INTEGER PRIMARY KEY AUTOINCREMENT, gallery TEXT NOT NULL, keyframe INTEGER NOT NULL,
+    digest BLOB NOT NULL, vector BLOB NOT NULL, UNIQUE (gallery, keyframe)
+);
+CREATE TABLE slots (
+    peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER,
+    PRIMARY KEY (peer, gallery, slot)
+);
+CREATE TABLE matches (
+    match INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL,
+    peer_slot INTEGER NOT NULL, keyframe INTEGER, state TEXT NOT NULL, why TEXT NOT NULL DEFAULT '',
+    transform TEXT, weight REAL, peer_state TEXT, told INTEGER NOT NULL DEFAULT 0,
+    UNIQUE (peer, gallery, slot, peer_slot)
+);
+CREATE TABLE opened (
+    peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER, stamp REAL,
+    vector BLOB NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (peer, gallery, slot)
+);
+CREATE TABLE news (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, match INTEGER NOT NULL, state TEXT NOT NULL,
+    UNIQUE (match, state)
+);
+CREATE TABLE strikes (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT NOT NULL, match INTEGER UNIQUE, why TEXT NOT NULL,
+    at REAL NOT NULL
+);
+"""
+_TABLES = tuple(statement for statement in _SCHEMA.split(";") if statement.strip())
 
 
 class RecordsError(OSError):

@@ -60,7 +60,11 @@ def show(
     if set(answer) != {"true", "lack"}:
         raise ProtocolViolation("the peer's agent sent a malformed note on matches")
     told = answer["true"]
-    both = [pair for pair in mine if list(_ordered(pair, session.party)) in told] if isinstance(told, list) else []
+    both = (
+        [pair for pair in mine if list(_ordered(pair, session.party)) in told]
+        if isinstance(told, list)
+        else []
+    )
     lacking = set(read_slots(answer["lack"], 2 * MOST_PAIRS, capacity[0]))
     showing = sorted({slot for slot, _ in both} & lacking)
     expected = sorted({theirs for _, theirs in both} & set(lack))

@@ -41,5 +41,7 @@ def line(status: Mapping[str, Any]) -> str:
         verified, others = found.get("verified", 0), sum(found.values()) - found.get("verified", 0)
         news = f", {verified} verified" if verified else ""
         news += f", {others} other matches" if others else ""
-        parts.append(f"{one['peer']}/{one['gallery']} {one['state']}: {one['held']} x {one['peer_held']}{news}")
+        parts.append(
+            f"{one['peer']}/{one['gallery']} {one['state']}: {one['held']} x {one['peer_held']}{news}"
+        )
     return " | ".join(parts)

@@ -12,7 +12,7 @@ from protocols.agent.desk import Desk, Peer
 from protocols.agent.events import Event
 from protocols.agent.keyframe import Keyframe
 from protocols.agent.keyframes import digest_of
-from protocols.agent.matches import Outcome, Pair
+from protocols.agent.matches import Pair
 from protocols.agent.showing import show
 from protocols.agent.turns import MOST_OUTCOMES, MOST_PAIRS, TOGETHER, Saying
 from protocols.agent.verifier import Verifier, meeting_of
@@ -76,7 +76,9 @@ class Turns:
             return False
         wanted = list(dict.fromkeys((*saying.want, *heard.want)))
         mine, theirs = min(saying.new, heard.room, TOGETHER), min(heard.new, saying.room, TOGETHER)
-        can = saying.due <= heard.room and heard.due <= saying.room  # what is in slots comes first, and all of it
+        can = (
+            saying.due <= heard.room and heard.due <= saying.room
+        )  # what is in slots comes first, and all of it
         if wanted:
             self._show(session, sorted(wanted, key=lambda pair: pair[:: 1 - 2 * session.party]))
         elif can and (mine or theirs or saying.open or heard.open):
@@ -128,10 +130,14 @@ class Turns:
         fresh = desk.keyframes.waiting(*self._where, map(digest_of, self._waiting), TOGETHER)
         if len(fresh) > self._left and not self._full:
             self._full = True
-            self._tell("slots", f"no slots are left for {desk.robot}'s keyframes with {self._peer.name}: deal more")
+            self._tell(
+                "slots", f"no slots are left for {desk.robot}'s keyframes with {self._peer.name}: deal more"
+            )
         new = due + min(taken_back + min(len(fresh), self._left), self._share(allowed, theirs))
         room = self._share(allowed, own)
-        return Saying(min(new, TOGETHER), due, room, self._open and allowed > 0, want, outcomes, desk.stop.is_set())
+        return Saying(
+            min(new, TOGETHER), due, room, self._open and allowed > 0, want, outcomes, desk.stop.is_set()
+        )
 
     def _share(self, allowed: int, others: int) -> int:
         """Descriptors that may be compared with all of the other side's; one where nothing was spent yet."""
@@ -149,7 +155,10 @@ class Turns:
             if spent:
                 what = "pairs" if not peer.pairs.left else "matches"
                 seconds = max(peer.pairs.pause, peer.matches.pause)
-                self._tell("budget", f"the budget of {what} a minute with {peer.name} is spent: on in {seconds:.0f} s")
+                self._tell(
+                    "budget",
+                    f"the budget of {what} a minute with {peer.name} is spent: on in {seconds:.0f} s",
+                )
         if spent or unsettled + strikes >= max(1, self._desk.strikes):
             return 0
         return peer.pairs.left

@@ -114,6 +114,8 @@ def _entries(value: object, most: int, length: int) -> list[list[Any]]:
 
 def _pair(entry: Sequence[Any], capacity: tuple[int, int]) -> Pair:
     theirs, mine = entry
-    if not all(type(slot) is int for slot in entry) or not (0 <= mine < capacity[0] and 0 <= theirs < capacity[1]):
+    if not all(type(slot) is int for slot in entry) or not (
+        0 <= mine < capacity[0] and 0 <= theirs < capacity[1]
+    ):
         raise ProtocolViolation(_MALFORMED)
     return mine, theirs
