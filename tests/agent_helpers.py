@@ -20,7 +20,6 @@ security = "{security}"
 
 [[agents]]
 name = "alice"
-address = "127.0.0.1:0"
 
 [[agents]]
 name = "bob"
@@ -83,7 +82,7 @@ def plan(
 
 def robots(folder: Path, **options: Any) -> tuple[Agent, Agent]:
     """Alice's and Bob's agent of a dealt mission, on loopback."""
-    alice = Agent(folder / "alice", state_dir=folder / "alice" / "state", **options)
+    alice = Agent(folder / "alice", listen="127.0.0.1:0", state_dir=folder / "alice" / "state", **options)
     bob = bobs(folder, alice, **options)
     return alice, bob
 

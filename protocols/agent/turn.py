@@ -89,10 +89,10 @@ class Turns:
 
     def pause(self, longest: float) -> float:
         """Seconds that may pass before the next turn, if nothing happens."""
-        desk = self._desk
-        if desk.matches.untold(*self._where, 1):
+        desk, where = self._desk, self._where
+        if desk.matches.untold(*where, 1):
             return 0.0
-        waits = bool(self._asked) or self._spent or bool(desk.keyframes.waiting(*self._where, most=1))
+        waits = self._spent or desk.matches.unshown(*where) or desk.keyframes.waiting(*where, most=1)
         return max(0.0, self._idle_until - time.monotonic()) if waits else longest
 
     def status(self) -> dict[str, Any]:
