@@ -121,7 +121,7 @@ class Reaching:
 
 
 def _answers(plan: Mapping[str, str], robot: str, peer: str) -> bool:
-    """Whether a peer calls this robot: it calls the first of a pair, unless only the second has an address."""
+    """Whether a peer calls this robot: who comes first is called, unless only the second has an address."""
     order, fixed = list(plan), plan[robot] != AUTO
     if fixed == (plan[peer] != AUTO):
         return order.index(robot) < order.index(peer)
