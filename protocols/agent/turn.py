@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from protocols.agent.allowance import Allowance
 from protocols.agent.desk import Desk, Peer
 from protocols.agent.events import Event
 from protocols.agent.keyframe import Keyframe, Meeting, Verdict
@@ -44,6 +45,7 @@ class Turns:
         self._where = (peer.name, gallery)
         self._matches = Matches(desk.records, *self._where)
         self._slots = Slots(desk.records, *self._where)
+        self._allowance = Allowance(peer, desk.strikes, lambda text: self._tell("budget", text))
         self._verifier, self._wake = verifier, wake
         self._waiting: list[IntArray] = []
         self._capacity = (0, 0)
@@ -53,7 +55,7 @@ class Turns:
         self._left = 0
         self._sent = self._rounds = self._compared = 0
         self._idle_until = 0.0
-        self._spent = self._full = self._open = False
+        self._full = self._open = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
         """Take up what a new connection brings: slots that were filled, results that were missed.
@@ -79,9 +81,8 @@ class Turns:
             return False
         wanted = list(dict.fromkeys((*saying.want, *heard.want)))
         mine, theirs = min(saying.new, heard.room, TOGETHER), min(heard.new, saying.room, TOGETHER)
-        can = (
-            saying.due <= heard.room and heard.due <= saying.room
-        )  # what is in slots comes first, and all of it
+        # What is in slots already is brought first, and all of it.
+        can = saying.due <= heard.room and heard.due <= saying.room
         if wanted:
             self._show(session, sorted(wanted, key=lambda pair: pair[:: 1 - 2 * session.party]))
         elif can and (mine or theirs or saying.open or heard.open):
@@ -94,7 +95,7 @@ class Turns:
         """Seconds that may pass before the next turn, if nothing happens."""
         if self._matches.untold(1):
             return 0.0
-        waits = self._spent or self._matches.unshown() or self._slots.waiting(most=1)
+        waits = self._allowance.spent or self._matches.unshown() or self._slots.waiting(most=1)
         return max(0.0, self._idle_until - time.monotonic()) if waits else longest
 
     def status(self) -> dict[str, Any]:
@@ -109,7 +110,7 @@ class Turns:
             "matches": self._matches.counts(),
             "strikes": len(self._peer.strikes.reasons),
             "settled": self._settled,
-            "budget_spent": self._spent,
+            "budget_spent": self._allowance.spent,
             "bytes_sent": self._sent,
             "rounds": self._rounds,
         }
@@ -122,47 +123,18 @@ class Turns:
     # -- a turn --------------------------------------------------------------------------------------
 
     def _saying(self, session: GallerySession) -> Saying:
-        desk, (own, theirs) = self._desk, self._held
-        want = self._wanted()
-        outcomes = self._matches.untold(MOST_OUTCOMES)
-        self._left = session.room
-        self._open, allowed = session.unfinished, self._allowed()
-        taken_back, due = len(self._waiting), session.due
-        fresh = self._slots.waiting(map(digest_of, self._waiting), TOGETHER)
-        if len(fresh) > self._left and not self._full:
+        want, outcomes = self._wanted(), self._matches.untold(MOST_OUTCOMES)
+        fresh = len(self._slots.waiting(map(digest_of, self._waiting), TOGETHER))
+        self._left, self._open = session.room, session.unfinished
+        if fresh > self._left and not self._full:
             self._full = True
             self._tell(
-                "slots", f"no slots are left for {desk.robot}'s keyframes with {self._peer.name}: deal more"
+                "slots", f"no slots are left for keyframes to be compared with {self._peer.name}: deal more"
             )
-        new = due + min(taken_back + min(len(fresh), self._left), self._share(allowed, theirs))
-        room = self._share(allowed, own)
-        return Saying(
-            min(new, TOGETHER), due, room, self._open and allowed > 0, want, outcomes, desk.stop.is_set()
-        )
-
-    def _share(self, allowed: int, others: int) -> int:
-        """Descriptors that may be compared with all of the other side's; one where nothing was spent yet."""
-        least = 1 if allowed and self._peer.pairs.untouched else 0
-        return min(TOGETHER, max(least, allowed // max(1, others)))
-
-    def _allowed(self) -> int:
-        """Pairs that may be compared now."""
-        peer = self._peer
-        strikes, unsettled = len(peer.strikes.reasons), peer.strikes.outstanding
-        spent = not (peer.pairs.left and peer.matches.left)
-        if spent != self._spent:
-            self._spent = spent
-            self._idle_until = time.monotonic() + _AGAIN
-            if spent:
-                what = "pairs" if not peer.pairs.left else "matches"
-                seconds = max(peer.pairs.pause, peer.matches.pause)
-                self._tell(
-                    "budget",
-                    f"the budget of {what} a minute with {peer.name} is spent: on in {seconds:.0f} s",
-                )
-        if spent or unsettled + strikes >= max(1, self._desk.strikes):
-            return 0
-        return peer.pairs.left
+        due, waiting = session.due, len(self._waiting) + min(fresh, self._left)
+        brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *self._held)
+        leaves = self._desk.stop.is_set() or self._allowance.struck
+        return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves)
 
     def _compare(self, session: GallerySession, mine: int, theirs: int) -> None:
         """One step of the gallery, with so many descriptors of either side."""
