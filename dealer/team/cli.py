@@ -7,9 +7,11 @@ import json
 import time
 
 from dealer.options import note
+from dealer.team import report
 from dealer.team.advice import advice
 from dealer.team.cluster import Cluster
 from dealer.team.deal import Dealt, deal_team
+from dealer.team.forecast import forecast
 from protocols.mission import Mission
 from spdz.console.progress import progress_bar
 
@@ -25,7 +27,12 @@ def run(options: argparse.Namespace) -> None:
     mission = Mission.load(options.mission)
     for text in advice(mission):
         note(options, text)
-    _deal(options, mission)
+    if not options.plan:
+        _deal(options, mission)
+        return
+    cost = forecast(mission, options.workers)
+    for line in [report.as_json(mission, cost)] if options.json else report.as_text(mission, cost):
+        print(line, flush=True)
 
 
 def _deal(options: argparse.Namespace, mission: Mission) -> None:

@@ -74,7 +74,7 @@ def deal_team(
         left = [task for task in sizes if room.record(task) is None]
         check_disk(out, sum(sum(sizes[task].tape_bytes) for task in left), _REMEDY)
         if left:
-            _deal(room, sizes, left, workers or _workers(largest), cluster, progress)
+            _deal(room, sizes, left, workers or workers_for(largest), cluster, progress)
         return Dealt(room.mission_id, hand_out(room), len(sizes), len(sizes) - len(left))
 
 
@@ -93,6 +93,6 @@ def _deal(
         deal_on_cluster(room, left, cluster, on_dealt=watch.dealt, poll=watch.look)
 
 
-def _workers(memory: int) -> int:
-    """Processes that this machine has cores and memory for."""
+def workers_for(memory: int) -> int:
+    """Processes that this machine has cores for, and so much memory each."""
     return max(1, min(cores(), available_memory() // max(1, memory)))
