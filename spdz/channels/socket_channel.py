@@ -50,7 +50,7 @@ class SocketChannel(Channel):
                 if not any(self._poll.poll(0) for _ in range(_SPINS)):
                     self._poll.poll(seconds * 1000)
         if self._send_error is not None:
-            raise _lost(self._send_error, reader)
+            raise lost(self._send_error, reader)
 
     def _send_some(self, pieces: list[memoryview]) -> bool:
         """Send from the last piece; returns whether there is more, and the stream may take it now."""
@@ -76,7 +76,7 @@ class SocketChannel(Channel):
         try:
             count = self._stream.receive_into(reader.space)
         except OSError as error:
-            raise _lost(error, reader) from error
+            raise lost(error, reader) from error
         if count is None:
             return False
         if count == 0:
@@ -112,7 +112,7 @@ class SocketChannel(Channel):
         self._stream.close()
 
 
-def _lost(error: OSError, reader: FrameReader) -> ChannelError:
+def lost(error: OSError, reader: FrameReader) -> ChannelError:
     """The error of a broken connection, in this package's terms."""
     if isinstance(error, TimeoutError):  # TCP itself gave up: ETIMEDOUT
         return ChannelTimeout(f"the network does not reach the peer any more ({reader.progress()})")
