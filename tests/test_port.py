@@ -228,8 +228,8 @@ def test_a_topic_that_the_port_does_not_know_is_told_on_both_sides(folders, open
 def test_an_answer_about_another_topic_is_a_violation(folders, open_port, monkeypatch):
     port = open_port()
     monkeypatch.setattr("spdz.channels.parking.answer", lambda stream, topic: answer(stream, "radar"))
-    _, error = together(lambda: port.take("bob", "lidar", LONG), calling(folders, port))
-    with pytest.raises(ProtocolViolation, match="another topic"):
+    here, error = together(lambda: port.take("bob", "lidar", LONG), calling(folders, port))
+    with here, pytest.raises(ProtocolViolation, match="another topic"):
         raise error
 
 

@@ -78,14 +78,10 @@ class TopicCaller(TlsCaller):
                 if count is None:
                     return select.POLLIN
                 if count == 0:
-                    raise ChannelError(f"{self.name!r} hung up before it named a topic")
+                    raise ConnectionAbortedError(None, "it hung up")
                 self._reader.advance(count)
         except OSError as error:
-            raise ChannelError(
-                f"{self.name!r} was lost before it named a topic: {describe(error)}"
-            ) from error
-        except ChannelError:
-            raise
+            raise ChannelError(f"{self.name!r} named no topic: {describe(error)}") from error
         except SpdzError as error:  # the same words for all that it may have sent: see Teller
             raise ChannelError(f"{self.name!r} did not send the frame that names a topic") from error
         self._choose(bytes(self._reader.payload()))
