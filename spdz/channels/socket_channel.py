@@ -55,7 +55,7 @@ class SocketChannel(Channel):
                 if not any(self._poll.poll(0) for _ in range(_SPINS)):
                     self._poll.poll(seconds * 1000)
         if self._send_error is not None:
-            raise _lost(self._send_error, reader.progress())
+            raise lost(self._send_error, reader.progress())
 
     def _await(self, deadline: float, wake: int | None) -> bool:
         stream, first, poll = self._stream, memoryview(bytearray(1)), select.poll()
@@ -67,7 +67,7 @@ class SocketChannel(Channel):
                 count = stream.receive_into(first)
                 unsent = count is None and stream.backlog and not stream.flush()
             except OSError as error:
-                raise _lost(error, _BETWEEN) from error
+                raise lost(error, _BETWEEN) from error
             if count == 0:
                 raise ChannelClosed(f"the peer closed the connection ({_BETWEEN})")
             if count:
@@ -105,7 +105,7 @@ class SocketChannel(Channel):
         try:
             count = self._stream.receive_into(reader.space)
         except OSError as error:
-            raise _lost(error, reader.progress()) from error
+            raise lost(error, reader.progress()) from error
         if count is None:
             return False
         if count == 0:
@@ -141,7 +141,7 @@ class SocketChannel(Channel):
         self._stream.close()
 
 
-def _lost(error: OSError, progress: str) -> ChannelError:
+def lost(error: OSError, progress: str) -> ChannelError:
     """The error of a broken connection, in this package's terms."""
     if isinstance(error, TimeoutError):  # TCP itself gave up: ETIMEDOUT
         return ChannelTimeout(f"the network does not reach the peer any more ({progress})")
