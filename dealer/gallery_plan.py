@@ -20,7 +20,7 @@ from dealer.gallery_limits import gallery_memory, pairs_together
 from dealer.gallery_mission import headers_for
 from dealer.gallery_trial import Couple
 from dealer.randomness import random_mac_key
-from protocols.catalog import GalleryPurpose
+from protocols.place_purpose import AnyPurpose
 from spdz.foundations.errors import Unsent
 from spdz.foundations.types import IntArray, Security
 from spdz.gallery.format import TAG, GalleryHeader, gallery_bytes
@@ -122,7 +122,7 @@ class GalleryCost:
 
 def gallery_cost(
     agents: tuple[str, str],
-    purpose: GalleryPurpose,
+    purpose: AnyPurpose,
     slots: tuple[int, int],
     security: Security,
     *,

@@ -13,6 +13,7 @@ from protocols.candidate import is_candidate
 from protocols.catalog import FINEST, GalleryPurpose, parse_resolution
 from protocols.combining import RULES, Rule
 from protocols.place import Compared, Place, check_part
+from protocols.question import Reveal
 from protocols.scores import SCORES
 from spdz.foundations.types import Security
 from spdz.local import run_clear
@@ -170,6 +171,17 @@ class PlacePurpose:
         """What is compared and opened, for people."""
         named = ", ".join(map(str, self.parts))
         return f"places of {named}; opens one bit, whether {self.rule} of them match"
+
+    @property
+    def reveal(self) -> Reveal:
+        """Never a score."""
+        return "bit"
+
+    @property
+    def hint(self) -> str | None:
+        """What users of the parts' scores get wrong most often."""
+        questions = (GalleryPurpose(part.score, part.dim) for part in self.parts)
+        return next((one.hint for one in questions if one.hint), None)
 
     @property
     def step_text(self) -> str:
