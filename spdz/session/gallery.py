@@ -16,11 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from spdz.channels import Channel, FrameKind
-from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.foundations.errors import TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import FloatArray, IntArray, Json
 from spdz.gallery.ledger import Ledger
@@ -33,7 +32,7 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
-from spdz.session.admission import checked_plan, pinned_text, quantised
+from spdz.session.admission import checked_plan, pinned_text, quantised, refuse_unproved
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 from spdz.session.conversation import Conversing
@@ -280,12 +279,7 @@ class GallerySession(Conversing):
         return [slot for slot in held_slots(self._ledger, owner) if slot >= self._ready[owner]][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
-        if proofs is not None and not proofs.all():
-            terms, bad = self._terms, slots[int(np.argmin(proofs))]
-            raise ProtocolViolation(
-                f"the vector in slot {bad} of {self._tape.header.agents[owner]} has not a norm between "
-                f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
-            )
+        refuse_unproved(self._terms, self._tape.header.agents[owner], slots, proofs)
 
     def reader(self, stream: RecordStream, stats: Stats) -> Party:
         """A party of this session that draws on some records."""
