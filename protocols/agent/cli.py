@@ -18,7 +18,7 @@ from protocols.agent.agent import Agent
 from protocols.agent.events import MATCH_STATES, Event
 from protocols.agent.folder_watch import FolderWatch
 from protocols.agent.keyframe import Verify
-from protocols.agent.lines import Given, read_line
+from protocols.agent.lines import Given, read_line, standard_input
 from protocols.agent.metrics import write_metrics
 from protocols.agent.status_line import StatusLine
 from spdz.console.command import say_error
@@ -196,15 +196,22 @@ class _Run:
             self._ended.wait(_POLL)
 
     def _read(self) -> None:
-        for number, line in enumerate(sys.stdin.buffer, 1):
-            if self._ended.is_set():
-                return
-            if not line.strip():
-                continue
-            try:
-                self._add(read_line(line))
-            except (ValueError, OSError) as error:
-                self._refuse(f"line {number} is left out: {error}")
+        number = 0
+        try:
+            for line in standard_input():
+                number += 1
+                if self._ended.is_set():
+                    return
+                if line.strip():
+                    self._take(number, line)
+        except (OSError, ValueError) as error:
+            self._refuse(f"standard input ends at line {number}: {error}")
+
+    def _take(self, number: int, line: bytes) -> None:
+        try:
+            self._add(read_line(line))
+        except (ValueError, OSError) as error:
+            self._refuse(f"line {number} is left out: {error}")
 
     def _is_quiet(self, now: float) -> bool:
         """Whether all is compared and settled, and has been for as long as was asked for."""
