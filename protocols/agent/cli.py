@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from protocols.agent.agent import Agent
 from protocols.agent.events import MATCH_STATES, Event
@@ -28,6 +28,7 @@ NAME = "python -m spdz agent"
 _POLL = 0.1
 """Seconds between looks at a watched folder."""
 _METRICS_EVERY = 2.0
+_WRITING = threading.Lock()
 
 _EPILOG = """\
 Keyframes come from Python (docs/how-to.md), from a folder (--watch) or as JSON lines (--stdin):
@@ -228,10 +229,7 @@ class _Run:
     def _print_matches(self, seconds: float) -> None:
         for match in self._agent.matches(seconds, again=self._options.again):
             self._line.clear()
-            if self._options.json:
-                print(json.dumps(Event.of(match).as_json()), flush=True)
-            else:
-                print(match, flush=True)
+            _write(sys.stdout, json.dumps(Event.of(match).as_json()) if self._options.json else str(match))
         self._options.again = False
 
     def _print_events(self) -> None:
@@ -262,9 +260,16 @@ class _Run:
 
 def _say(options: argparse.Namespace, event: Event) -> None:
     if options.json:
-        print(json.dumps(event.as_json()), flush=True)
+        _write(sys.stdout, json.dumps(event.as_json()))
     elif not options.quiet:
-        print(event.text, file=sys.stderr, flush=True)
+        _write(sys.stderr, event.text)
+
+
+def _write(stream: TextIO, line: str) -> None:
+    """Write a line as a whole: several threads do."""
+    with _WRITING:
+        stream.write(line + "\n")
+        stream.flush()
 
 
 def _peer(text: str) -> tuple[str, str]:
