@@ -1,0 +1,1 @@
+"""One robot's agent: what runs for the whole mission."""
