@@ -175,17 +175,18 @@ class Port:
                     self._teller.tell(f"the port at {self._address} begins again after an error: {error!r}")
                     self._closing.wait(_REST)
                 finally:
-                    self._where = []
+                    self._listener, self._where = None, []
 
     def _serve(self) -> None:
         """Listen, and put down the calls that come, until the port is closed."""
         while self._listener is None:
             if self._closing.wait(_REST):
                 return
-            with contextlib.suppress(ChannelError):  # told; and what is not allowed now may be later
+            try:
                 self._listener = self._listen()
+            except ChannelError as error:  # what is not allowed now may be allowed later
+                self._teller.tell(str(error), "; trying again")
         with self._listener as listener:
-            self._listener = None
             self._reception = Reception(listener, self._admit, self._teller, self._timeout, self._awake)
             with contextlib.closing(self._reception) as reception:
                 self._where, self._absent = addresses_of(listener), ""
