@@ -243,6 +243,25 @@ def test_an_announcement_without_its_address_is_asked_about(start):
     until(lambda: one.address_of("bob") == "10.0.0.2:9")
 
 
+@pytest.mark.parametrize("wrong", [{"robot": "dave"}, {"robot": "bob", "addresses": ["nonsense"]}, None])
+def test_an_answer_without_sense_ends_nothing(network, start, wrong):
+    one, opened = start()
+
+    def answer(service, name, milliseconds):
+        if wrong is None:
+            raise RuntimeError("a name that the library refuses")
+        opened.questions.append(name)
+        properties = {"mission": MISSION, "robot": wrong["robot"]}
+        addresses = wrong.get("addresses", ["10.0.0.2"])
+        return Info(SERVICE, name, port=9, properties=properties, parsed_addresses=addresses)
+
+    opened.get_service_info = answer
+    opened.tell(f"odd.{SERVICE}", State.Added)
+    until(lambda: not one._questions)
+    time.sleep(0.05)
+    assert len(network.opened) == 1 and not opened.closed
+
+
 def test_a_flood_of_empty_announcements_is_asked_about_a_few_times_and_hides_nobody(start):
     one, opened = start()
     entered, leave = threading.Event(), threading.Event()
@@ -336,6 +355,13 @@ def test_closing_withdraws_the_announcement_and_keeps_what_was_found(start):
     one.close()
     assert opened.closed and not one._thread.is_alive()
     assert one.address_of("bob") == "10.0.0.2:9000"
+
+
+def test_closing_does_not_wait_for_the_next_look(monkeypatch, start):
+    monkeypatch.setattr(discovery, "_LOOK_SECONDS", 10 * LONG)
+    one, _ = start()
+    one.close()
+    assert not one._thread.is_alive()
 
 
 # --- arguments

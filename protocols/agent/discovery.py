@@ -185,9 +185,10 @@ class Discovery:
 
     def _ask(self, network: Any) -> None:
         while self._questions and not self._closing.is_set():
-            info = network.get_service_info(SERVICE, self._questions.popleft(), _ASK_MILLISECONDS)
-            if info is not None:
-                self._note(info)
+            with contextlib.suppress(Exception):  # as in _heard
+                info = network.get_service_info(SERVICE, self._questions.popleft(), _ASK_MILLISECONDS)
+                if info is not None:
+                    self._note(info)
 
     def _note(self, info: Any) -> None:
         """Remember where a peer is said to be; ignores all others, and other missions."""
