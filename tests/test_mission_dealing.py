@@ -140,6 +140,16 @@ def test_a_dealer_that_is_stopped_again_and_again_gets_there(tmp_path, mission, 
     meet(tmp_path / "m", mission, ("alice", "carol"), "both", tmp_path)
 
 
+def test_what_was_half_dealt_or_half_written_is_gone_before_a_dealer_goes_on(tmp_path, couple):
+    room, task = begun(tmp_path, couple)
+    (room.work / f"{task.key}.dead").mkdir()
+    (room.work / f"{task.key}.dead" / ".0.tape.1234.partial").write_bytes(b"secret")
+    (room.path / ".finished.json.1234.partial").touch()
+    (room.out / f"{ROOM}.1234.partial" / "robots").mkdir(parents=True)
+    begun(tmp_path, couple)
+    assert list(tmp_path.rglob("*.partial")) == list(room.work.iterdir()) == []
+
+
 DEAL = """
 import pathlib, sys
 from dealer.team.deal import deal_team
