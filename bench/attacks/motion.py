@@ -8,6 +8,8 @@ and no training is needed. Cost: some 400 correlations of 80 x 80 cells a step.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from bench.attacks.world import CELL, CELLS
@@ -64,7 +66,7 @@ def step_likelihoods(grids: FloatArray) -> FloatArray:
     """
     usual, drawn = usual_step(), _drawn(grids)
     steps = np.empty((len(grids) - 1, *usual.shape))
-    for step, (before, after) in enumerate(zip(drawn, drawn[1:], strict=False)):
+    for step, (before, after) in enumerate(pairwise(drawn)):
         agreement = np.full(usual.shape, -1.0)
         for i, j in np.argwhere(usual > 0):
             agreement[i, j] = _agreement(before, after, i - SHIFTS, j - SHIFTS)

@@ -1,8 +1,8 @@
 """Path reconstruction: where Alice was, from what she tells Bob.
 
-The paper's attack (Fishberg, Jia and How, "CILC", section "Path reconstruction from GD broadcast"): compare each
-broadcast descriptor with one's own, and place the sender at the mean of one's own places that match. Here
-beside a stronger attack on the same broadcast, and both attackers' counterparts in the private exchange.
+The paper's attack (Fishberg, Jia and How, "CILC", section "Path reconstruction from GD broadcast"): compare
+each broadcast descriptor with one's own, and place the sender at the mean of one's own places that match.
+Here beside a stronger attack on the same broadcast, and both attackers' counterparts in the private exchange.
 """
 
 from __future__ import annotations
@@ -79,11 +79,12 @@ def reconstructions(world: World) -> list[Reconstruction]:
     """Every attack on the paths, from what knows most to what knows nothing."""
     broadcast = world.alice.descriptors @ world.dense.descriptors.T
     matches = exchanged_matches(world)
-    revealed = np.where(matches.any(axis=1)[:, None], broadcast, -np.inf)
+    opened = np.asarray(matches.any(axis=1))
+    revealed = np.where(opened[:, None], broadcast, -np.inf)
     at_matches = mean_of_matches(matches, world.bob.positions)
     every, count = f"all {len(world.alice)} descriptors, in their order", int(matches.sum())
     bits = f"which pairs of keyframes match ({count}), and the order"
-    opened = f"that, and the {int(matches.any(axis=1).sum())} descriptors that matches reveal"
+    seen = f"that, and the {int(opened.sum())} descriptors that matches reveal"
     middle = np.broadcast_to(world.dense.positions.mean(axis=0), world.alice.positions.shape)
     return [
         Reconstruction(
@@ -97,7 +98,7 @@ def reconstructions(world: World) -> list[Reconstruction]:
         Reconstruction(
             "best own scan where revealed, straight lines between",
             "exchange",
-            opened,
+            seen,
             joined(best_scan(revealed, world.dense.positions, world.threshold)),
         ),
         Reconstruction("the middle of Bob's own path", "nothing", "nothing", middle),
@@ -113,7 +114,7 @@ def mean_of_matches(matches: npt.NDArray[np.bool_], positions: FloatArray) -> Fl
     """The paper's rule: ``(m, n)`` matches with n own places; ``(m, 2)``, NaN without a match."""
     count = matches.sum(axis=1, keepdims=True)
     total = matches @ positions
-    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return np.asarray(np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0))
 
 
 def best_scan(scores: FloatArray, positions: FloatArray, threshold: float) -> FloatArray:
@@ -135,7 +136,8 @@ def track(world: World) -> FloatArray:
     """All that a broadcast tells: own scans that match, and the steps that descriptors in a row give away."""
     own = _rotate(world.dense.positions, -world.public.walls)
     floor = Floor.around(own)
-    # Cells near Bob's path are as likely as the score with his nearest place says; of others he knows nothing.
+    # Cells near Bob's path are as likely as the score with his nearest place says; of others he knows
+    # nothing.
     place, apart = floor.nearest(own)
     scores = world.alice.descriptors @ world.dense.descriptors.T
     nats = np.clip(_TEMPER * _evidence(world, scores), _LEAST, _MOST)

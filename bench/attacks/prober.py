@@ -1,20 +1,21 @@
 """A robot that chooses its vectors to find another one's: adaptive probing with unit vectors, bit by bit.
 
-Every probe v has norm 1, as the proof of norm demands, and brings the one bit [v . y >= t] about a hidden unit
-vector y. The prober (its steps are numbered in the code):
+Every probe v has norm 1, as the proof of norm demands, and brings the one bit [v . y >= t] about a hidden
+unit vector y. The prober (its steps are numbered in the code):
 
 1. begins with a vector r that matches, v . y >= t;
-2. turns r towards another direction until it finds, by bisection, a unit vector p with p . y = t: on the edge;
+2. turns r towards another direction until it finds, by bisection, a unit vector p with p . y = t: on the
+edge;
 3. asks from there. For any unit e orthogonal to p the probe cos(f) p + sin(f) e matches exactly if
    e . y >= t tan(f / 2). So *any* coordinate of y can be compared with *any* number, and nothing else need be
    known of y: what bounded vectors lose against unbounded ones is this search, some 28 bits;
 4. takes for e the axes of what it knows beforehand (a mean and a covariance, or nothing: then any axes), and
    bisects those coordinates first whose answer is expected to tell most.
 
-With nothing known beforehand the first bit a coordinate is its sign, and d signs of a random vector fix a share
-2/pi = 0.64 of its square: the rule cos^2 = t^2 + 0.64 (1 - t^2) bits / d. One-bit compressed sensing (Jacques et
-al., "Robust 1-bit compressive sensing via binary stable embeddings", IEEE Trans. Inf. Theory 2013) is the same
-without the adaption.
+With nothing known beforehand the first bit a coordinate is its sign, and d signs of a random vector fix a
+share 2/pi = 0.64 of its square: the rule cos^2 = t^2 + 0.64 (1 - t^2) bits / d. One-bit compressed sensing
+(Jacques et al., "Robust 1-bit compressive sensing via binary stable embeddings", IEEE Trans. Inf. Theory
+2013) is the same without the adaption.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ _EDGE_BITS, _LENGTH_BITS = 18, 10
 _DEEPEST = 11
 """Bits of one coordinate at most."""
 _TILT = 0.1
-"""A coordinate is compared with no number nearer to 0 than so many standard deviations: the nearer, the less a
-probe leaves the edge, and the more of its answer is the comparison's resolution."""
+"""A coordinate is compared with no number nearer to 0 than so many standard deviations: the nearer, the less
+a probe leaves the edge, and the more of its answer is the comparison's resolution."""
 
 
 class Oracle:
@@ -67,7 +68,8 @@ class Oracle:
             ValueError: the probe is longer than 1, as a gallery's own robot would be told.
         """
         raw = encode(probe[None], max_norm=1.0)[0].astype(np.float64)
-        # Exact: |v . y| of quantised unit vectors is below 2^33. The dither moves the threshold by half a step.
+        # Exact: |v . y| of quantised unit vectors is below 2^33. The dither moves the threshold by half a
+        # step.
         moved = int(self._generator.integers(0, 1 << self._dropped)) - (1 << self._dropped >> 1)
         self.answers.append(bool(raw @ self._raw >= self._threshold - moved))
         return self.answers[-1]
@@ -92,13 +94,23 @@ class Prior:
 
     @staticmethod
     def of(vectors: FloatArray, unknown: float = 0.02) -> Prior:
-        """From vectors ``(m, n)`` of the same kind; a share of the variance is left to what they do not span."""
+        """From vectors ``(m, n)`` of the same kind.
+
+        Args:
+            vectors: What is known.
+            unknown: Share of the variance that is left to what they do not span.
+        """
         covariance, dim = np.cov(vectors.T), vectors.shape[1]
         spread = unknown * np.trace(covariance) * np.eye(dim) / dim
         return Prior(vectors.mean(axis=0), (1 - unknown) * covariance + spread)
 
     def given(self, axes: FloatArray, values: FloatArray) -> Prior:
-        """The same once coordinates along orthonormal ``axes`` ``(n, k)`` are known to be ``values`` ``(k,)``."""
+        """The same, once some coordinates are known.
+
+        Args:
+            axes: ``(n, k)``, orthonormal.
+            values: ``(k,)``, the coordinates along them.
+        """
         across = self.covariance @ axes
         gain = across @ np.linalg.pinv(axes.T @ across, rcond=1e-9)
         mean = self.mean + gain @ (values - axes.T @ self.mean)
@@ -154,6 +166,7 @@ def probe(
     def guess(vector: FloatArray) -> None:
         cosines.append(float(vector @ hidden / max(float(np.linalg.norm(vector)), 1e-300)))
 
+    start = prior.given(first[:, None], np.array([threshold])).mean
     # Step 2: the edge, on the way from the match over a random direction to the match's opposite.
     away = _orthogonal(generator.standard_normal(len(hidden)), first)
     low, high = 0.0, pi
@@ -163,7 +176,7 @@ def probe(
             low = middle
         else:
             high = middle
-        guess(first)
+        guess(start)
     angle = (low + high) / 2
     edge, beside = cos(angle) * first + sin(angle) * away, cos(angle) * away - sin(angle) * first
 
@@ -175,13 +188,14 @@ def probe(
         return oracle(cos(tilt) * edge + sin(tilt) * axis)
 
     # How far the first match lies within the edge: the one coordinate that no prior tells.
-    low, high = -sqrt(1 - threshold**2), sqrt(1 - threshold**2)
+    low, high, known = -sqrt(1 - threshold**2), sqrt(1 - threshold**2), np.stack([edge, beside], axis=1)
     for _ in range(_LENGTH_BITS):
-        low, high = ((low + high) / 2, high) if above(beside, (low + high) / 2) else (low, (low + high) / 2)
-        guess(threshold * edge + (low + high) / 2 * beside)
+        middle = (low + high) / 2
+        low, high = (middle, high) if above(beside, middle) else (low, middle)
+        left = prior.given(known, np.array([threshold, (low + high) / 2]))
+        guess(left.mean)
 
     # Step 4.
-    left = prior.given(np.stack([edge, beside], axis=1), np.array([threshold, (low + high) / 2]))
     variances, axes = np.linalg.eigh(left.covariance)
     best, centre = left.mean.copy(), axes.T @ left.mean
     open_cells = [(-v * _gain(0, 0), i, 0, 0) for i, v in enumerate(variances) if v > 1e-9]

@@ -18,7 +18,8 @@ from bench.demo.scan_context import Background, quarter_turns
 from spdz.foundations.types import FloatArray
 
 RIDGE = 1.0
-"""What is added to the eigenvalues of the descriptors' second moments; best on the attacker's own last quarter."""
+"""What is added to the eigenvalues of the descriptors' second moments; best on the attacker's own last
+quarter."""
 _CUTS = np.arange(0.05, 0.6, 0.025)
 """From what predicted occupancy a cell counts as occupied: the best of these on the attacker's own scans."""
 _TRIED = 7
@@ -53,7 +54,7 @@ class Decoder:
 
     def occupancy(self, descriptors: FloatArray) -> FloatArray:
         """Predicted occupancy: ``(n, CELLS * CELLS)``."""
-        return self.mean + descriptors @ self.weights
+        return np.asarray(self.mean + descriptors @ self.weights)
 
 
 def _ridge(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -71,7 +72,7 @@ def correlation(first: FloatArray, second: FloatArray) -> FloatArray:
     """Pearson correlation, row by row; 0 where a row is constant."""
     a, b = (rows - rows.mean(axis=1, keepdims=True) for rows in (first, second))
     size = np.sqrt((a * a).sum(axis=1) * (b * b).sum(axis=1))
-    return np.divide((a * b).sum(axis=1), size, out=np.zeros(len(a)), where=size > 0)
+    return np.asarray(np.divide((a * b).sum(axis=1), size, out=np.zeros(len(a)), where=size > 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ def rebuild(world: World, seed: int) -> Rebuilt:
     true = world.alice.occupancy.reshape(len(world.alice), -1)
     constant = np.tile(decoder.mean, (len(true), 1))
     guessed = decoder.occupancy(world.alice.descriptors)
-    revealed = exchanged_matches(world).any(axis=1)
+    revealed = np.asarray(exchanged_matches(world).any(axis=1))
     shuffled = guessed[np.random.default_rng(seed).permutation(len(guessed))]
     # What most cells hold decides of a constant where it is cut: where that is best on Bob's own scans.
     own = world.dense.occupancy.reshape(len(world.dense), -1)
@@ -152,7 +153,13 @@ def rebuild(world: World, seed: int) -> Rebuilt:
     return Rebuilt(
         [
             row("ridge regression", "broadcast", everything, guessed, decoder.cut),
-            row("ridge regression where revealed, else the constant", "exchange", int(revealed.sum()), told, cuts),
+            row(
+                "ridge regression where revealed, else the constant",
+                "exchange",
+                int(revealed.sum()),
+                told,
+                cuts,
+            ),
             row("the constant: what Bob's scans are on the whole", "nothing", 0, constant, flat),
             row("rebuilt scans of other keyframes, at random", "nothing", 0, shuffled, decoder.cut),
         ],

@@ -1,8 +1,8 @@
 """Who attacks whom: Bob, compromised, against Alice, on the corridor scans of the demo.
 
 Both are the demo's robots, with the demo's descriptors. Beside what an exchange tells him, Bob knows his own
-scans, where on the map he took each of them, and how descriptors are made: the whitening is public. All of that
-any robot of the mission has.
+scans, where on the map he took each of them, and how descriptors are made: the whitening is public. All of
+that any robot of the mission has.
 """
 
 from __future__ import annotations
