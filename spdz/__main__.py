@@ -20,6 +20,7 @@ def parser() -> argparse.ArgumentParser:
     """The arguments of every command."""
     from bench.demo.cli import add_demo
     from protocols.agent.cli import add_agent
+    from protocols.check.cli import add_check
     from protocols.cli import add_match
     from protocols.tape_cli import add_tape
 
@@ -32,6 +33,7 @@ def parser() -> argparse.ArgumentParser:
     add_match(commands)
     add_agent(commands)
     add_tape(commands)
+    add_check(commands)
     add_demo(commands)
     arguments.add_argument("--version", action="version", version=f"spdz {__version__}")
     return arguments
