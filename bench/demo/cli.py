@@ -9,7 +9,7 @@ import shutil
 import sys
 from pathlib import Path
 
-NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13")
+NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13", "scipy>=1.11")
 """The extra ``demo``."""
 
 
