@@ -1,6 +1,6 @@
 """Both robots at work: two processes compare all keyframes privately; of pairs that match, submaps are shown.
 
-The robots' processes are ``python -m spdz match``; the submaps of pairs that matched go from hand to hand here.
+The processes are ``python -m spdz match``; the submaps of pairs that matched go from hand to hand here.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ from bench.demo.tables import Table, cost, found, learned, overheard
 from protocols.geometry.icp import INLIER, LEAST_SHARE, NEAR
 from protocols.geometry.verification import Verified
 
-POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-"""What a browser may load for the page: nothing."""
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+"""What a browser may load for the page: what is in it, and nothing else."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
