@@ -1,0 +1,85 @@
+"""What the adapters need of an agent (:class:`protocols.agent.Agent` has it)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol
+
+from spdz.foundations.types import FloatArray
+
+
+class Found(Protocol):
+    """A match of the agent, in one of its states."""
+
+    @property
+    def number(self) -> int:
+        """The same for all states of one match, and after a restart."""
+
+    @property
+    def peer(self) -> str:
+        """The other robot's name."""
+
+    @property
+    def keyframe(self) -> int:
+        """This robot's keyframe."""
+
+    @property
+    def peer_keyframe(self) -> int:
+        """The other robot's."""
+
+    @property
+    def state(self) -> str:
+        """``candidate``, then ``verified``, ``rejected`` or ``withheld``."""
+
+    @property
+    def transform(self) -> tuple[float, ...] | None:
+        """What the verification gave."""
+
+    @property
+    def weight(self) -> float | None:
+        """What the verification gave."""
+
+    @property
+    def why(self) -> str:
+        """Why it was rejected."""
+
+
+class Told(Protocol):
+    """An event of the agent."""
+
+    @property
+    def name(self) -> str:
+        """What kind of event."""
+
+    @property
+    def text(self) -> str:
+        """For people."""
+
+
+class Front(Protocol):
+    """The robot's agent, as the adapter feeds it."""
+
+    def add(
+        self,
+        keyframe: int,
+        descriptors: Mapping[str, FloatArray],
+        payload: bytes = b"",
+        stamp: float | None = None,
+    ) -> object:
+        """Take a keyframe; ValueError for bad input, by name."""
+
+
+class Running(Front, Protocol):
+    """The robot's agent, as a process runs it."""
+
+    def events(self, timeout: float) -> Iterable[Told]:
+        """What happens, until nothing has for so many seconds."""
+
+    def matches(self, timeout: float) -> Iterable[Found]:
+        """What is found, until nothing has been for so many seconds."""
+
+    def status(self) -> dict[str, Any]:
+        """How the agent stands."""
+
+    def stop(self) -> None:
+        """End."""
