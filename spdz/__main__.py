@@ -19,6 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The arguments of every command."""
     from bench.demo.cli import add_demo
+    from protocols.agent.cli import add_agent
     from protocols.cli import add_match
     from protocols.tape_cli import add_tape
 
@@ -29,6 +30,7 @@ def parser() -> argparse.ArgumentParser:
     )
     commands = arguments.add_subparsers(required=True, metavar="COMMAND")
     add_match(commands)
+    add_agent(commands)
     add_tape(commands)
     add_demo(commands)
     arguments.add_argument("--version", action="version", version=f"spdz {__version__}")

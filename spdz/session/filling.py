@@ -47,6 +47,7 @@ class Filling:
         text: What the gallery computes.
         waiting: Quantised descriptors that the next step brings.
         sent: Own slots that the peer has.
+        accept: Descriptors that the peer may still bring in this step; None for any number.
     """
 
     tape: GalleryTape
@@ -57,6 +58,7 @@ class Filling:
     text: bytes
     waiting: list[IntArray] = field(repr=False)
     sent: int = 0
+    accept: int | None = None
 
     @property
     def party(self) -> int:
@@ -175,6 +177,10 @@ class Filling:
             raise ProtocolViolation("the peer's offer of slots is malformed, or more than its gallery holds")
         if answer["from"] != filled:
             raise OutOfStep(f"the peer sends slots from {shown(answer['from'], 8)} on, and {filled} are here")
+        if self.accept is not None:
+            self.accept -= count - len(set(void))
+            if self.accept < 0:
+                raise ProtocolViolation("the peer brings more descriptors than were agreed on: refused")
         return count, set(void)
 
     def _received(self, first: int, count: int, void: set[int], reply: Any) -> list[Entry]:

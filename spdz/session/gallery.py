@@ -101,9 +101,20 @@ class GallerySession(Lifecycle):
         return int(self._tape.header.party)
 
     @property
+    def capacity(self) -> tuple[int, int]:
+        """Slots of this side and of the peer."""
+        own, peer = (self._tape.header.capacity[owner] for owner in (self.party, 1 - self.party))
+        return own, peer
+
+    @property
     def room(self) -> int:
         """Own slots that are neither used nor waited for."""
         return self._filling.room
+
+    @property
+    def due(self) -> int:
+        """Own descriptors that are in slots and that the next step sends, before it brings any others."""
+        return len([slot for slot in self.filled if slot >= self._filling.sent])
 
     def require_room(self, more: int) -> None:
         """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
@@ -134,6 +145,11 @@ class GallerySession(Lifecycle):
         """Own slots that hold a descriptor."""
         return held_slots(self._ledger, self.party)
 
+    @property
+    def peer_filled(self) -> list[int]:
+        """The peer's slots that hold a descriptor."""
+        return held_slots(self._ledger, 1 - self.party)
+
     def add(self, descriptors: npt.ArrayLike) -> None:
         """Bring descriptors to the next step.
 
@@ -150,15 +166,21 @@ class GallerySession(Lifecycle):
         self._waiting += list(raw)
 
     def step(
-        self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
+        self,
+        on_block: Callable[[Block], None] = lambda block: None,
+        *,
+        into: Step | None = None,
+        accept: int | None = None,
     ) -> Step:
         """Bring what was added, and compare all new pairs; both sides call it equally often.
 
         Args:
             on_block: Called with every block as soon as it is checked and durable.
             into: A step that an earlier session has begun, to go on with.
+            accept: Most descriptors that the peer may bring; None for as many as there are slots.
 
         Raises:
+            ProtocolViolation: if the peer brings more than that; nothing is compared with them.
             MacCheckFailed: if the peer cheated; nothing more is output, and tape and ledger are destroyed.
             SpdzError: as any session. What was output stays true.
         """
@@ -166,6 +188,7 @@ class GallerySession(Lifecycle):
             step, more = Step() if into is None else into, True
             mine, theirs = (self._ledger.slots[owner].voids for owner in (self.party, 1 - self.party))
             step.forget(mine, theirs)
+            self._filling.accept = accept
             while more:
                 with step.filling.timed() as stats:
                     more = self._filling.exchange(self._agreement, step)
