@@ -190,6 +190,10 @@ class Dds:
         """How many others write descriptors."""
         return len(self._readers[GlobalDescriptors].get_matched_publications())
 
+    def has_reader(self) -> bool:
+        """Whether anybody reads matches or loop closures."""
+        return any(writer.get_matched_subscriptions() for writer in self._writers.values())
+
     def close(self) -> None:
         """Leave the domain."""
         self._readers.clear()

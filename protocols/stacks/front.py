@@ -9,23 +9,27 @@ from spdz.foundations.types import FloatArray
 
 
 class Found(Protocol):
-    """A match of the agent, in one of its states."""
+    """News of a match, as the agent gives it."""
 
     @property
     def number(self) -> int:
-        """The same for all states of one match, and after a restart."""
+        """Of this news, ascending."""
+
+    @property
+    def match(self) -> int:
+        """Of the match, which makes news more than once."""
 
     @property
     def peer(self) -> str:
         """The other robot's name."""
 
     @property
-    def keyframe(self) -> int:
+    def keyframe(self) -> int | None:
         """This robot's keyframe."""
 
     @property
-    def peer_keyframe(self) -> int:
-        """The other robot's."""
+    def peer_keyframe(self) -> int | None:
+        """The other robot's, once it has shown it."""
 
     @property
     def state(self) -> str:
@@ -38,10 +42,6 @@ class Found(Protocol):
     @property
     def weight(self) -> float | None:
         """What the verification gave."""
-
-    @property
-    def why(self) -> str:
-        """Why it was rejected."""
 
 
 class Told(Protocol):
@@ -76,7 +76,7 @@ class Running(Front, Protocol):
         """What happens, until nothing has for so many seconds."""
 
     def matches(self, timeout: float) -> Iterable[Found]:
-        """What is found, until nothing has been for so many seconds."""
+        """News of matches, until there is none for so many seconds; read when the next is asked for."""
 
     def status(self) -> dict[str, Any]:
         """How the agent stands."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
@@ -31,12 +31,15 @@ from protocols.stacks.messages import (
 )
 from protocols.stacks.pairing import Pairing
 from protocols.stacks.role import Role
+from protocols.stacks.topics import KEYFRAME_DATA
+from protocols.stacks.transport import Outgoing
+from spdz.foundations.errors import SpdzError
 from spdz.foundations.types import FloatArray
 
 Announce: TypeAlias = Literal["verified", "candidate"]
 
-MOST = 10
-"""Matches of one message, as Swarm-SLAM's ``detection_publication_max_elems_per_msg``."""
+End: TypeAlias = tuple[int, int]
+"""A robot's id and its keyframe."""
 
 _ALWAYS = 5
 """How many refusals of one kind are told one by one; later ones are told at powers of two."""
@@ -72,10 +75,8 @@ class SwarmSlam:
     why: dict[str, tuple[int, str]] = field(default_factory=dict)
     _held: dict[int, bytes] = field(default_factory=dict)
     _pairing: Pairing = field(default_factory=Pairing)
-    _states: dict[int, str] = field(default_factory=dict)
-    _announced: set[tuple[int, str]] = field(default_factory=set)
-    _matches: deque[InterRobotMatch] = field(default_factory=deque)
-    _closures: deque[InterRobotLoopClosure] = field(default_factory=deque)
+    _first: dict[tuple[str, int], int] = field(default_factory=dict)
+    _last: int = 0
 
     def take(self, message: GlobalDescriptors, stamp: float | None = None) -> None:
         """Give the robot's own descriptors of a message to its agent.
@@ -103,39 +104,35 @@ class SwarmSlam:
         count, _ = self.why.get(event.name, (0, ""))
         self.why[event.name] = (count + 1, event.text)
 
-    def found(self, match: Found) -> None:
-        """Take a match of the agent, or its next state."""
-        if self._states.get(match.number) == match.state:
-            return
+    def found(self, match: Found) -> list[Outgoing]:
+        """Take news of a match; returns what is to be published of it."""
+        if match.number <= self._last:
+            return []
+        self._last = match.number
         peer = self.role.ids.get(match.peer)
         if peer is None or peer == self.role.id:
+            whose = "this robot itself" if peer is not None else "not in the plan"
             self._refuse(
-                "foreign match",
-                f"match {match.number} is with {match.peer!r}, who is "
-                f"{'this robot itself' if peer is not None else 'not in the plan'}: not published",
+                "foreign match", f"a match with {match.peer!r:.40}, who is {whose}, is not published"
             )
-            return
-        self._states[match.number] = match.state
+            return []
         self.counts[match.state] += 1
-        if match.state == self.announce:
-            self._announce(match, peer)
+        if match.keyframe is None or match.peer_keyframe is None:  # the peer has not shown its own yet
+            return []
+        pair = (self.role.id, match.keyframe), (peer, match.peer_keyframe)
+        messages: list[Outgoing] = []
+        if match.state == "verified" or self.announce == "candidate":
+            messages += self._announced(match, *pair)
         if match.state in ("verified", "rejected"):
-            self._close(match, peer)
+            messages += self._closed(match, *pair)
+        return messages
 
-    def outgoing(self) -> list[InterRobotMatches | InterRobotLoopClosure]:
-        """What is to be published now; what waited too long for its payload is refused."""
+    def late(self) -> None:
+        """Refuse the descriptors that have waited too long for what was seen at their keyframes."""
         for keyframe in self._pairing.late(self.clock()):
             del self._held[keyframe]
-            self._refuse(
-                "no keyframe data", f"keyframe {keyframe} came without what the robot saw there: refused"
-            )
-        messages: list[InterRobotMatches | InterRobotLoopClosure] = []
-        while self._matches:
-            some = [self._matches.popleft() for _ in range(min(MOST, len(self._matches)))]
-            messages.append(InterRobotMatches(self.role.id, tuple(some)))
-        messages += self._closures
-        self._closures.clear()
-        return messages
+            sentence = f"keyframe {keyframe} came without what was seen there ({KEYFRAME_DATA}): refused"
+            self._refuse("no keyframe data", sentence)
 
     def report(self) -> dict[str, object]:
         """All counts, and what the agent said last of each kind."""
@@ -148,8 +145,8 @@ class SwarmSlam:
         if robot != self.role.id:
             self._refuse(
                 "foreign robot",
-                f"a descriptor of robot {robot} came where only those of robot {self.role.id} belong: refused. "
-                "What comes over the air is broadcast in the clear, perhaps this robot's too",
+                f"a descriptor of robot {robot} came where those of robot {self.role.id} belong: refused. What "
+                "comes over the air is broadcast in the clear, perhaps this robot's too",
             )
             return
         vector = np.array(descriptor.descriptor, dtype=np.float64)
@@ -176,41 +173,46 @@ class SwarmSlam:
     def _add(self, keyframe: int, vector: FloatArray, payload: bytes, stamp: float | None) -> None:
         try:
             self.front.add(keyframe, {self.role.descriptor: vector}, payload=payload, stamp=stamp)
-        except ValueError as error:
+        except (ValueError, SpdzError, OSError) as error:
             del self._held[keyframe]
             self._refuse("agent", f"keyframe {keyframe}: {error}; refused")
         else:
             self.counts["added"] += 1
 
-    def _announce(self, match: Found, peer: int) -> None:
-        if (match.keyframe, match.peer) in self._announced:
-            self.counts["further"] += 1
-            return
-        self._announced.add((match.keyframe, match.peer))
-        weight = self.role.weight if match.weight is None else float(match.weight)
-        mine, other = (self.role.id, match.keyframe), (peer, match.peer_keyframe)
-        self._matches.append(InterRobotMatch(*min(mine, other), *max(mine, other), weight))
+    def _announced(self, match: Found, own: End, other: End) -> list[Outgoing]:
+        """The match itself, if it is the keyframe's first with this peer; the smaller robot id comes first."""
+        if (match.peer, own[1]) in self._first:
+            self.counts["further"] += match.match != self._first[match.peer, own[1]]
+            return []
+        self._first[match.peer, own[1]] = match.match
         self.counts["published"] += 1
+        weight = self.role.weight if match.weight is None else float(match.weight)
+        return [
+            InterRobotMatches(self.role.id, (InterRobotMatch(*min(own, other), *max(own, other), weight),))
+        ]
 
-    def _close(self, match: Found, peer: int) -> None:
-        first = self.role.id < peer
+    def _closed(self, match: Found, own: End, other: End) -> list[Outgoing]:
+        """The loop closure of a match that was looked at."""
+        first = own < other
         if self.shared and not first:
-            return
+            return []
         transform = Transform()
         if match.state == "verified":
             if match.transform is None:
                 self.counts["verified without a transform"] += 1
-                return
+                return []
             try:
                 transform = as_transform(match.transform)
             except ValueError as error:
-                self._refuse("transform", f"match {match.number} has no loop closure: {error}")
-                return
+                self._refuse(
+                    "transform", f"match {match.match} with {match.peer} has no loop closure: {error}"
+                )
+                return []
             transform = transform if first else inverse(transform)
-        mine, other = (match.keyframe, self.role.id), (match.peer_keyframe, peer)
-        ends = (*mine, *other) if first else (*other, *mine)
-        self._closures.append(InterRobotLoopClosure(*ends, match.state == "verified", transform))
         self.counts["closures"] += 1
+        (robot0, keyframe0), (robot1, keyframe1) = min(own, other), max(own, other)
+        good = match.state == "verified"
+        return [InterRobotLoopClosure(keyframe0, robot0, keyframe1, robot1, good, transform)]
 
     def _refuse(self, reason: str, sentence: str) -> None:
         self.counts[f"refused: {reason}"] += 1

@@ -41,6 +41,9 @@ class Transport(Protocol):
     def writers(self) -> int | None:
         """How many others write descriptors; None where that cannot be told."""
 
+    def has_reader(self) -> bool:
+        """Whether anybody reads what is published."""
+
     def close(self) -> None:
         """Leave the graph."""
 

@@ -168,6 +168,10 @@ class Zenoh:
         """None: Zenoh does not tell."""
         return None
 
+    def has_reader(self) -> bool:
+        """Whether anybody reads matches or loop closures."""
+        return any(one.matching_status for each in self._publishers.values() for one in each)
+
     def close(self) -> None:
         """Close the session."""
         self._session.close()  # type: ignore[no-untyped-call]
