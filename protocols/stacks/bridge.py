@@ -20,7 +20,7 @@ from protocols.stacks.topics import Topics
 from protocols.stacks.transport import Incoming, Payload, Transport
 
 PATIENCE = 10.0
-"""Seconds without a descriptor, or a reader, after which it is said where they are looked for; then twice that..."""
+"""Seconds without a descriptor, or a reader, after which that is said; the next time after twice as long."""
 
 
 def give(adapter: SwarmSlam, message: Incoming, stamp: float | None = None) -> None:
@@ -66,7 +66,7 @@ class Bridge:
         for message in self.transport.take(seconds):
             give(self.adapter, message)
         self.adapter.late()
-        if not self._told("descriptors", bool(self.adapter.counts)):
+        if not self._told("descriptors", self.adapter.counts["received"] > 0):
             writers = self.transport.writers()
             known = {None: "", 0: "; nobody writes there"}.get(writers, f"; {writers} write there")
             self.say(f"no descriptor has come on {self.names.descriptors} ({self.transport.where}){known}")

@@ -44,18 +44,6 @@ class Found(Protocol):
         """What the verification gave."""
 
 
-class Told(Protocol):
-    """An event of the agent."""
-
-    @property
-    def name(self) -> str:
-        """What kind of event."""
-
-    @property
-    def text(self) -> str:
-        """For people."""
-
-
 class Front(Protocol):
     """The robot's agent, as the adapter feeds it."""
 
@@ -72,14 +60,8 @@ class Front(Protocol):
 class Running(Front, Protocol):
     """The robot's agent, as a process runs it."""
 
-    def events(self, timeout: float) -> Iterable[Told]:
-        """What happens, until nothing has for so many seconds."""
-
     def matches(self, timeout: float) -> Iterable[Found]:
         """News of matches, until there is none for so many seconds; read when the next is asked for."""
 
     def status(self) -> dict[str, Any]:
         """How the agent stands."""
-
-    def stop(self) -> None:
-        """End."""

@@ -52,8 +52,8 @@ def role_of(mission: Mission, robot: str, descriptor: str | None = None) -> Role
     for gallery in mission.galleries:
         if plan in gallery.descriptors and (len(gallery.descriptors) > 1 or plan.turns > 1):
             raise ValueError(
-                f"{gallery.name} compares several descriptors of a keyframe at once, which one topic does not "
-                "bring: give them to the agent from Python (docs/swarm-slam.md)"
+                f"{gallery.name} compares several descriptors of a keyframe at once, and a topic brings one "
+                "of them: give them to the agent from Python (docs/swarm-slam.md)"
             )
     similarity = SCORES[plan.purpose.score].similarity
     return Role(

@@ -13,14 +13,14 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from protocols.stacks.closure import as_transform, inverse
-from protocols.stacks.front import Found, Front, Told
+from protocols.stacks.front import Found, Front
 from protocols.stacks.messages import (
     GlobalDescriptor,
     GlobalDescriptors,
@@ -41,6 +41,9 @@ Announce: TypeAlias = Literal["verified", "candidate"]
 End: TypeAlias = tuple[int, int]
 """A robot's id and its keyframe."""
 
+MAX_UINT32 = (1 << 32) - 1
+_WEIGHTS = float(np.finfo(np.float32).min), float(np.finfo(np.float32).max)
+
 _ALWAYS = 5
 """How many refusals of one kind are told one by one; later ones are told at powers of two."""
 
@@ -56,11 +59,11 @@ class SwarmSlam:
             known to be true as those of Swarm-SLAM's own node.
         normalise: Divide each descriptor by its norm: S10 of the results is the cosine.
         payloads: Wait for what the robot saw at a keyframe, and give it to the agent with the descriptor.
+        team: Descriptors of other robots are to be expected, as in a bag of a whole team: counted, not told.
         shared: The ROS graph reaches other robots too: the robot of the smaller id alone publishes a closure.
         on_event: Told what was refused and why, in one sentence.
         clock: Seconds, for those that wait.
         counts: How many of everything.
-        why: What the agent said last, by its event's name, with how often it said so.
     """
 
     front: Front
@@ -68,11 +71,11 @@ class SwarmSlam:
     announce: Announce = "verified"
     normalise: bool = False
     payloads: bool = False
+    team: bool = False
     shared: bool = False
     on_event: Callable[[str], None] = lambda sentence: None
     clock: Callable[[], float] = time.monotonic
     counts: Counter[str] = field(default_factory=Counter)
-    why: dict[str, tuple[int, str]] = field(default_factory=dict)
     _held: dict[int, bytes] = field(default_factory=dict)
     _pairing: Pairing = field(default_factory=Pairing)
     _first: dict[tuple[str, int], int] = field(default_factory=dict)
@@ -99,11 +102,6 @@ class SwarmSlam:
         """Count a message that could not be read."""
         self._refuse("unreadable", str(error))
 
-    def heard(self, event: Told) -> None:
-        """Keep what the agent says."""
-        count, _ = self.why.get(event.name, (0, ""))
-        self.why[event.name] = (count + 1, event.text)
-
     def found(self, match: Found) -> list[Outgoing]:
         """Take news of a match; returns what is to be published of it."""
         if match.number <= self._last:
@@ -120,6 +118,10 @@ class SwarmSlam:
         if match.keyframe is None or match.peer_keyframe is None:  # the peer has not shown its own yet
             return []
         pair = (self.role.id, match.keyframe), (peer, match.peer_keyframe)
+        if max(match.keyframe, match.peer_keyframe) > MAX_UINT32:
+            sentence = f"a match with keyframe {match.peer_keyframe} of {match.peer} is not published"
+            self._refuse("foreign match", f"{sentence}: ROS messages hold keyframes up to {MAX_UINT32}")
+            return []
         messages: list[Outgoing] = []
         if match.state == "verified" or self.announce == "candidate":
             messages += self._announced(match, *pair)
@@ -134,19 +136,28 @@ class SwarmSlam:
             sentence = f"keyframe {keyframe} came without what was seen there ({KEYFRAME_DATA}): refused"
             self._refuse("no keyframe data", sentence)
 
-    def report(self) -> dict[str, object]:
-        """All counts, and what the agent said last of each kind."""
-        waiting = {"waiting for keyframe data": len(self._pairing)} if self.payloads else {}
-        agent = {name: {"times": count, "last": text} for name, (count, text) in self.why.items()}
-        return {**self.counts, **waiting, "agent": agent}
+    def report(self, status: Mapping[str, Any]) -> dict[str, Any]:
+        """What came and what became of it, JSON-ready.
+
+        Args:
+            status: The agent's, which says for each peer why nothing has matched.
+        """
+        counts = dict(self.counts)
+        if self.payloads:
+            counts["waiting for keyframe data"] = len(self._pairing)
+        galleries = [one for one in status.get("galleries", ()) if one["why"]["text"]]
+        return {"counts": counts, "why": {one["peer"]: dict(one["why"]) for one in galleries}}
 
     def _take_one(self, descriptor: GlobalDescriptor, stamp: float | None) -> None:
         keyframe, robot = descriptor.keyframe_id, descriptor.robot_id
+        if robot != self.role.id and self.team:
+            self.counts["of other robots"] += 1
+            return
         if robot != self.role.id:
             self._refuse(
                 "foreign robot",
-                f"a descriptor of robot {robot} came where those of robot {self.role.id} belong: refused. What "
-                "comes over the air is broadcast in the clear, perhaps this robot's too",
+                f"a descriptor of robot {robot} came where those of robot {self.role.id} belong: refused. If "
+                "it came over the air, perhaps this robot's are broadcast in the clear too",
             )
             return
         vector = np.array(descriptor.descriptor, dtype=np.float64)
@@ -165,6 +176,7 @@ class SwarmSlam:
             return
         self._held[keyframe] = digest
         if self.normalise:
+            vector /= np.abs(vector).max()  # so that no square overflows
             vector /= np.linalg.norm(vector)
         payload = self._pairing.descriptor(keyframe, vector, stamp, self.clock()) if self.payloads else b""
         if payload is not None:
@@ -180,13 +192,13 @@ class SwarmSlam:
             self.counts["added"] += 1
 
     def _announced(self, match: Found, own: End, other: End) -> list[Outgoing]:
-        """The match itself, if it is the keyframe's first with this peer; the smaller robot id comes first."""
+        """The match, if it is the keyframe's first with this peer; the smaller robot id comes first."""
         if (match.peer, own[1]) in self._first:
             self.counts["further"] += match.match != self._first[match.peer, own[1]]
             return []
         self._first[match.peer, own[1]] = match.match
         self.counts["published"] += 1
-        weight = self.role.weight if match.weight is None else float(match.weight)
+        weight = self.role.weight if match.weight is None else float(np.clip(match.weight, *_WEIGHTS))
         return [
             InterRobotMatches(self.role.id, (InterRobotMatch(*min(own, other), *max(own, other), weight),))
         ]
@@ -227,6 +239,6 @@ def _problem(vector: FloatArray, dim: int, normalise: bool) -> str | None:
         return f"its descriptor has {vector.size} numbers, the plan says {dim}"
     if not np.isfinite(vector).all():
         return "its descriptor has a number that is not finite"
-    if normalise and not np.linalg.norm(vector) > 0:
+    if normalise and not vector.any():
         return "its descriptor is zero, which cannot be normalised"
     return None

@@ -8,6 +8,7 @@ Service name mapping to DDS" (``rt`` before the name); the design document of rm
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from protocols.stacks.messages import GlobalDescriptors, InterRobotLoopClosure, InterRobotMatches, dds_name
@@ -114,3 +115,24 @@ def rmw_key(name: str, kind: type, domain: int, type_hash: str) -> str:
 def bridge_key(name: str) -> str:
     """The Zenoh key of a topic behind zenoh-bridge-ros2dds."""
     return name.removeprefix("/")
+
+
+def remapped(rules: Sequence[str]) -> dict[str, str]:
+    """Arguments of :func:`topics` from rules such as ``cslam/global_descriptors:=/r0/own_descriptors``.
+
+    Raises:
+        ValueError: for a rule of another form, or a name that is not read or written here.
+    """
+    known = {
+        DESCRIPTORS: "descriptors",
+        KEYFRAME_DATA: "keyframes",
+        MATCHES: "matches",
+        CLOSURES: "closures",
+    }
+    found = {}
+    for rule in rules:
+        name, sign, topic = rule.partition(":=")
+        if not sign or name not in known:
+            raise ValueError(f"--remap is NAME:=TOPIC with a name of {', '.join(known)}, not {rule!r:.80}")
+        found[known[name]] = topic
+    return found
