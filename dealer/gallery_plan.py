@@ -140,7 +140,7 @@ def gallery_cost(
     bit = _BIT if terms.proves else 0.0
     own, peer, stored = [], [], []
     for owner, slot in enumerate(plan.slots):
-        words = purpose.dim * element_bytes(terms.word_bits)
+        words = terms.dim * element_bytes(terms.word_bits)
         own.append(words + ELEMENT_BYTES * slot.elements_sent[owner] + bit)
         peer.append(ELEMENT_BYTES * slot.elements_sent[1 - owner] + bit)
         stored.append(max(slot.correction_bytes) + TAG)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import secrets
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from dealer.gallery import deal_gallery
 from dealer.pki import MissionAuthority, write_credentials
-from protocols.agent import Agent
+from protocols.agent import Agent, Match, Meeting, Verdict
 from protocols.mission import Mission
 from protocols.mission.folder import plan_file, tape_name
 from spdz.foundations.types import FloatArray
@@ -20,7 +22,6 @@ security = "{security}"
 
 [[agents]]
 name = "alice"
-address = "127.0.0.1:0"
 
 [[agents]]
 name = "bob"
@@ -83,7 +84,7 @@ def plan(
 
 def robots(folder: Path, **options: Any) -> tuple[Agent, Agent]:
     """Alice's and Bob's agent of a dealt mission, on loopback."""
-    alice = Agent(folder / "alice", state_dir=folder / "alice" / "state", **options)
+    alice = Agent(folder / "alice", listen="127.0.0.1:0", state_dir=folder / "alice" / "state", **options)
     bob = bobs(folder, alice, **options)
     return alice, bob
 
@@ -104,3 +105,38 @@ def near(vectors: FloatArray, seed: int, noise: float = 0.1) -> FloatArray:
     """Unit vectors beside others."""
     others = vectors + noise * places(len(vectors), vectors.shape[1], seed)
     return np.asarray(others / np.linalg.norm(others, axis=1, keepdims=True))
+
+
+def until(condition: Callable[[], object], seconds: float = 30.0) -> None:
+    """Wait until something holds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come to that"
+        time.sleep(0.01)
+
+
+def found(agent: Agent, state: str = "candidate") -> set[tuple[int, int | None]]:
+    """Keyframes of all matches that reached a state: own, the peer's."""
+    return {(match.keyframe, match.peer_keyframe) for match in news(agent) if match.state == state}
+
+
+def news(agent: Agent) -> list[Match]:
+    """All news of matches, without reading them."""
+    return agent._news.after(0)
+
+
+def payload_of(robot: str, keyframe: int) -> bytes:
+    """What the tests' robots show of a keyframe."""
+    return f"{robot} {keyframe}".encode()
+
+
+def honest(meeting: Meeting) -> Verdict:
+    """A verification that looks at who shows what."""
+    good = meeting.other.payload == payload_of(meeting.peer, meeting.other.id)
+    return Verdict(good, "" if good else "another payload", (1.0, 2.0, 0.5), 0.9)
+
+
+def feed(agent: Agent, first: int, vectors: FloatArray, name: str = "lidar") -> None:
+    """Give an agent keyframes numbered from ``first`` on."""
+    for number, vector in enumerate(vectors, first):
+        agent.add(number, {name: vector}, payload_of(agent.robot, number), float(number))

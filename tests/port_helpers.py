@@ -5,11 +5,13 @@ import time
 from contextlib import ExitStack
 
 import pytest
-from channel_helpers import LONG, together
+from channel_helpers import CONTROL, LONG, header, send_raw, together
 
+from spdz.channels import tls
 from spdz.channels.port import Port, dial
 
 TOPICS = ("lidar", "camera")
+LIDAR = header(5, kind=CONTROL) + b"lidar"
 
 
 def until(condition, seconds=LONG):
@@ -44,9 +46,16 @@ def calling(folders, port, robot="bob", topic="lidar", *, timeout=LONG, wait=LON
     return lambda: dial(port.addresses[0], credentials, "alice", topic, timeout=timeout, wait=wait, **options)
 
 
-def connected(folders, port, robot="bob", topic="lidar"):
+def connected(folders, port, robot="bob", topic="lidar", **options):
     """Both ends of a call that was taken."""
-    return together(lambda: port.take(robot, topic, LONG), calling(folders, port, robot, topic))
+    return together(lambda: port.take(robot, topic, LONG), calling(folders, port, robot, topic, **options))
+
+
+def by_hand(folders, port, frames, robot="bob"):
+    """A channel of a robot of the mission that sends frames of its own choice to a port."""
+    channel = tls.connect(port.addresses[0], folders / robot, "alice", wait=LONG, timeout=LONG)
+    send_raw(channel, frames)
+    return channel
 
 
 class Background:

@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PACKAGES = ("spdz", "protocols", "dealer", "bench")
 DOORS = {"spdz.__main__", "spdz.dealer", "spdz.local"}
-BASE_DEPENDENCIES = {"numpy", "gmpy2", "cryptography", "threadpoolctl"}
+BASE_DEPENDENCIES = {"numpy", "gmpy2", "cryptography", "threadpoolctl", "tomli"}
+OPTIONAL = {"rich", "distributed"}
 LONGEST_FILE = 320
 
 
@@ -176,7 +177,7 @@ def test_only_the_base_dependencies_are_loaded(module):
     for target in imports(module):
         other = target.module.split(".")[0]
         known = other in sys.stdlib_module_names or other in PACKAGES or other in BASE_DEPENDENCIES
-        assert known or (other == "rich" and not target.at_load), f"{module} imports {target.module}"
+        assert known or (other in OPTIONAL and not target.at_load), f"{module} imports {target.module}"
 
 
 @pytest.mark.parametrize("module", FILES)

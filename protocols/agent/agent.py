@@ -18,10 +18,11 @@ from protocols.agent.events import Event, Hub, Match
 from protocols.agent.keyframe import Keyframe, Verify, check_id
 from protocols.agent.keyframes import Described, Keyframes
 from protocols.agent.link import Link
-from protocols.agent.matches import Matches
+from protocols.agent.news import News
 from protocols.agent.reaching import Reaching
 from protocols.agent.records import Records
 from protocols.agent.showing import MAX_PAYLOAD
+from protocols.agent.strikes import Strikes
 from protocols.agent.verifier import Verifier
 from protocols.mission import Folder, GalleryPlan
 from spdz.session.admission import quantised
@@ -91,11 +92,11 @@ class Agent:
         self._galleries: dict[str, GalleryPlan] = {gallery.name: gallery for gallery in plan.galleries}
         self._terms = {name: gallery.terms(plan.security) for name, gallery in self._galleries.items()}
         self._records = Records(self.folder.path, self.folder.mission_id)
-        self._hub = Hub(on_event)
+        self._news, self._hub = News(self._records), Hub(on_event)
         self._desk = Desk(
             self.robot,
+            self._records,
             Keyframes(self._records),
-            Matches(self._records),
             self._hub,
             verify,
             limit,
@@ -221,13 +222,13 @@ class Agent:
             timeout: Seconds without news after which the iteration ends; None waits until the agent stops.
             again: Begin with the first news of the mission.
         """
-        number = 0 if again else self._desk.matches.read_to
+        number = 0 if again else self._news.read_to
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
-            for news in self._desk.matches.news(number):
+            for news in self._news.after(number):
                 yield news
                 number = news.number
-                self._desk.matches.read(number)
+                self._news.read(number)
                 deadline = None if timeout is None else time.monotonic() + timeout
             left = _SLICE if deadline is None else min(_SLICE, deadline - time.monotonic())
             if left <= 0 or self._hub.wait(left):
@@ -253,7 +254,7 @@ class Agent:
             raise ValueError(
                 f"{peer!r:.40} is no peer of {self.robot}; its peers are {', '.join(self.peers)}"
             )
-        count = self._desk.matches.forgive(peer)
+        count = Strikes(self._records, peer).forgive()
         for link in self._links:
             link.wake()
         return count
@@ -277,8 +278,13 @@ class Agent:
             self._records.close()
 
     def _peers(self) -> list[Peer]:
-        budgets = self.folder.mission.budgets
+        budgets, records = self.folder.mission.budgets, self._records
         return [
-            Peer(name, Rate(budgets.pairs_per_minute), Rate(budgets.matches_per_minute))
+            Peer(
+                name,
+                Strikes(records, name),
+                Rate(budgets.pairs_per_minute),
+                Rate(budgets.matches_per_minute),
+            )
             for name in self.peers
         ]

@@ -214,7 +214,7 @@ class _Run:
         state = [(one["held"], one["peer_held"], one["settled"]) for one in galleries]
         if state != self._state or not all(one["settled"] and one["held"] for one in galleries):
             self._state, self._since = state, now
-        return now - self._since >= self._options.quiet_seconds
+        return bool(now - self._since >= self._options.quiet_seconds)
 
     # -- what it tells -------------------------------------------------------------------------------
 

@@ -11,7 +11,8 @@ from protocols.agent.budgets import Rate
 from protocols.agent.events import Event, Hub
 from protocols.agent.keyframe import Verify
 from protocols.agent.keyframes import Keyframes
-from protocols.agent.matches import Matches
+from protocols.agent.records import Records
+from protocols.agent.strikes import Strikes
 
 
 class Wake:
@@ -53,11 +54,13 @@ class Peer:
 
     Attributes:
         name: The robot.
+        strikes: What is held against it.
         pairs: Pairs that it may still be compared with in this minute.
         matches: Matches that it may still have in this minute.
     """
 
     name: str
+    strikes: Strikes
     pairs: Rate
     matches: Rate
 
@@ -68,8 +71,8 @@ class Desk:
 
     Attributes:
         robot: The agent's name.
+        records: Its durable records.
         keyframes: Its keyframes.
-        matches: Its matches.
         hub: Where events go.
         verify: The user's verification; None takes every match for verified whose halves were shown.
         strikes: Strikes at which a peer is not compared with any more.
@@ -80,8 +83,8 @@ class Desk:
     """
 
     robot: str
+    records: Records
     keyframes: Keyframes
-    matches: Matches
     hub: Hub
     verify: Verify | None
     strikes: int

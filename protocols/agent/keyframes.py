@@ -48,7 +48,7 @@ def digest_of(raw: IntArray) -> bytes:
 
 
 class Keyframes:
-    """The part of an agent's records that is about its own keyframes.
+    """The keyframes in an agent's records.
 
     Args:
         records: The open records.
@@ -67,28 +67,24 @@ class Keyframes:
             ValueError: if another keyframe has its number.
             RecordsError: if it cannot be written; then nothing of it is kept.
         """
-        records, new = self._records, []
+        records, number, new = self._records, keyframe.id, []
         with records.transaction():
-            held = records.all("SELECT payload FROM keyframes WHERE id = ?", keyframe.id)
+            held = records.all("SELECT payload FROM keyframes WHERE id = ?", number)
             if held and held != [(keyframe.payload,)]:
-                raise ValueError(f"there is a keyframe {keyframe.id} already, with another payload")
+                raise ValueError(f"there is a keyframe {number} already, with another payload")
             if not held:
                 records.run(
-                    "INSERT INTO keyframes VALUES (?, ?, ?)", keyframe.id, keyframe.stamp, keyframe.payload
+                    "INSERT INTO keyframes VALUES (?, ?, ?)", number, keyframe.stamp, keyframe.payload
                 )
             for gallery, one in described.items():
-                digest = digest_of(one.raw)
-                there = records.all(
-                    "SELECT digest FROM vectors WHERE gallery = ? AND keyframe = ?", gallery, keyframe.id
-                )
+                digest, where = digest_of(one.raw), (gallery, number)
+                there = records.all("SELECT digest FROM vectors WHERE gallery = ? AND keyframe = ?", *where)
                 if there and there != [(digest,)]:
-                    raise ValueError(f"keyframe {keyframe.id} has another descriptor {gallery!r} already")
+                    raise ValueError(f"there is a keyframe {number} already, with another {gallery}")
                 if not there:
                     vector = np.asarray(one.vector, dtype="<f8").tobytes()
-                    records.run(
-                        "INSERT INTO vectors (gallery, keyframe, digest, vector) VALUES (?, ?, ?, ?)",
-                        gallery, keyframe.id, digest, vector,
-                    )  # fmt: skip
+                    columns = "(gallery, keyframe, digest, vector)"
+                    records.run(f"INSERT INTO vectors {columns} VALUES (?, ?, ?, ?)", *where, digest, vector)
                     new.append(gallery)
         return new
 
@@ -96,71 +92,69 @@ class Keyframes:
         """A keyframe with its vector for one gallery; None if there is none of that number."""
         rows = self._records.all(
             "SELECT stamp, payload, vector FROM keyframes LEFT JOIN vectors ON keyframe = id AND gallery = ? "
-            "WHERE id = ?", gallery, number,
-        )  # fmt: skip
-        if not rows:
-            return None
-        stamp, payload, vector = rows[0]
-        return Keyframe(
-            number, None if vector is None else np.frombuffer(vector, dtype="<f8"), payload, stamp
+            "WHERE id = ?",
+            *(gallery, number),
         )
+        for stamp, payload, vector in rows:
+            array = None if vector is None else np.frombuffer(vector, dtype="<f8")
+            return Keyframe(number, array, payload, stamp)
+        return None
 
     def count(self, gallery: str) -> int:
         """How many keyframes a gallery has been given."""
         return int(self._records.all("SELECT count(*) FROM vectors WHERE gallery = ?", gallery)[0][0])
 
-    def waiting(
-        self, peer: str, gallery: str, besides: Iterable[bytes] = (), most: int = 1 << 30
-    ) -> list[Waiting]:
-        """Keyframes that are in no slot of a gallery, in the order in which they came.
+
+class Slots:
+    """Which keyframe is in which own slot of one gallery with one peer.
+
+    Args:
+        records: The open records.
+        peer: The other robot.
+        gallery: The gallery.
+    """
+
+    def __init__(self, records: Records, peer: str, gallery: str) -> None:
+        self._records, self._gallery, self._link = records, gallery, records.link(peer, gallery)
+
+    def known(self) -> dict[int, int | None]:
+        """The keyframe in every slot; None where the records of it were lost."""
+        return dict(self._records.all("SELECT slot, keyframe FROM slots WHERE link = ?", self._link))
+
+    def waiting(self, besides: Iterable[bytes] = (), most: int = 1 << 30) -> list[Waiting]:
+        """Keyframes that are in no slot, in the order in which they came.
 
         Args:
-            peer: With whom.
-            gallery: Its name.
             besides: Digests of vectors that a session brings already, each as often as it does.
             most: How many to look for.
         """
+        brought, found = Counter(besides), list[Waiting]()
         rows = self._records.all(
-            "SELECT keyframe, vector, digest FROM vectors WHERE gallery = ?1 AND keyframe NOT IN "
-            "(SELECT keyframe FROM slots WHERE peer = ?2 AND gallery = ?1 AND keyframe IS NOT NULL) "
-            "ORDER BY place LIMIT ?3", gallery, peer, most,
-        )  # fmt: skip
-        brought, found = Counter(besides), []
+            "SELECT keyframe, vector, digest FROM vectors WHERE gallery = ? AND keyframe NOT IN "
+            "(SELECT keyframe FROM slots WHERE link = ? AND keyframe IS NOT NULL) ORDER BY place LIMIT ?",
+            *(self._gallery, self._link, most + brought.total()),
+        )
         for keyframe, vector, digest in rows:
             if brought[digest]:
                 brought[digest] -= 1
-                continue
-            found.append(Waiting(keyframe, np.frombuffer(vector, dtype="<f8"), digest))
+            elif len(found) < most:
+                found.append(Waiting(keyframe, np.frombuffer(vector, dtype="<f8"), digest))
         return found
 
-    def slots(self, peer: str, gallery: str) -> dict[int, int | None]:
-        """Which keyframe is in which own slot, as far as it is known."""
-        return dict(
-            self._records.all(
-                "SELECT slot, keyframe FROM slots WHERE peer = ? AND gallery = ?", peer, gallery
-            )
-        )
-
-    def place(self, peer: str, gallery: str, slots: Mapping[int, bytes], lost: Iterable[int]) -> None:
+    def place(self, slots: Mapping[int, bytes], lost: Iterable[int]) -> None:
         """Remember which keyframes are in new slots, by what the ledger says is in them.
 
         Args:
-            peer: With whom.
-            gallery: Its name.
             slots: New slots in ascending order, with the digests of the vectors in them.
             lost: Slots that hold nothing any more.
         """
         records = self._records
         with records.transaction():
             for slot in lost:
-                records.run(
-                    "DELETE FROM slots WHERE peer = ? AND gallery = ? AND slot = ?", peer, gallery, slot
-                )
-            if not slots:
-                return
+                records.run("DELETE FROM slots WHERE link = ? AND slot = ?", self._link, slot)
             unplaced: dict[bytes, list[int]] = {}
-            for one in self.waiting(peer, gallery):
+            for one in self.waiting() if slots else []:
                 unplaced.setdefault(one.digest, []).append(one.keyframe)
             for slot, digest in slots.items():
                 keyframe = unplaced[digest].pop(0) if unplaced.get(digest) else None
-                records.run("INSERT OR REPLACE INTO slots VALUES (?, ?, ?, ?)", peer, gallery, slot, keyframe)
+                records.run("INSERT OR REPLACE INTO slots VALUES (?, ?, ?)", self._link, slot, keyframe)

@@ -62,6 +62,7 @@ class Link:
         verifier: Verifier,
     ) -> None:
         self.peer, self.gallery = peer.name, gallery
+        self._peer = peer
         self._desk, self._tape, self._terms, self._reach = desk, tape, terms, reach
         self._wake = Wake()
         self._turns = Turns(desk, peer, gallery, terms, verifier, self._wake.set)
@@ -162,7 +163,7 @@ class Link:
 
     def _resting(self) -> bool:
         """Whether the peer has too many strikes; then wait until they are forgiven."""
-        strikes = self._desk.matches.strikes(self.peer)
+        strikes = self._peer.strikes.reasons
         if len(strikes) < self._desk.strikes:
             return False
         if self._state != "stopped":
@@ -194,7 +195,7 @@ class Link:
 
     def _hold_against(self, error: ProtocolViolation) -> None:
         self._note("refused", "violation", error)
-        self._desk.matches.strike(self.peer, str(error))
+        self._peer.strikes.add(str(error))
 
     def _note(self, state: str, name: str, error: Exception) -> None:
         """Tell an error, once as long as it is the same."""

@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from protocols.agent.desk import Desk
-from protocols.agent.discovery import Discovery
 from protocols.mission import Folder
 from spdz.channels import Channel
 from spdz.channels.addresses import parse_address
 from spdz.channels.port import Port, dial
 from spdz.foundations.errors import ChannelTimeout
 from spdz.tape.header import Header
+
+if TYPE_CHECKING:
+    from protocols.agent.discovery import Discovery
 
 AUTO = "auto"
 ANYWHERE = "0.0.0.0:0"
@@ -40,17 +43,20 @@ class Reaching:
         self._folder, self._desk = folder, desk
         mission, robot = folder.mission, folder.robot
         names = mission.peers(robot)
+        plan = {agent.name: agent.address for agent in mission.agents}
+        self._answers = {name for name in names if _answers(plan, robot, name)}
         for name, address in peers.items():
             if name not in names:
                 raise ValueError(f"{name!r:.40} is no peer of {robot}; its peers are {', '.join(names)}")
+            if name in self._answers:
+                raise ValueError(
+                    f"{name} calls {robot}, not the other way round: tell {name} where {robot} listens"
+                )
             parse_address(address)
-        plan = {agent.name: agent.address for agent in mission.agents}
         self._addresses = {name: peers.get(name, plan[name]) for name in names}
-        own = listen or plan[robot]
-        if listen is not None:
-            parse_address(listen)
-        self._answers = {name for name in names if self._answered(robot, name, own)}
-        self._port = self._discovery = None
+        own = plan[robot] if listen is None else listen
+        self._port: Port | None = None
+        self._discovery: Discovery | None = None
         if self._answers:
             self._port = Port(
                 ANYWHERE if own == AUTO else own,
@@ -60,7 +66,11 @@ class Reaching:
                 timeout=desk.timeout,
                 on_event=lambda text: desk.tell("port", text),
             )
-        if own == AUTO or any(self._addresses[name] == AUTO for name in names if name not in self._answers):
+        announced = bool(self._answers) and plan[robot] == AUTO
+        sought = [name for name in names if name not in self._answers and self._addresses[name] == AUTO]
+        if announced or sought:
+            from protocols.agent.discovery import Discovery
+
             try:
                 self._discovery = Discovery(
                     folder.mission_id,
@@ -91,8 +101,7 @@ class Reaching:
     def reach(self, peer: str, gallery: str, credentials: Path) -> Channel:
         """Meet a peer, or raise ChannelTimeout after a few seconds."""
         desk = self._desk
-        if peer in self._answers:
-            assert self._port is not None
+        if self._port is not None and peer in self._answers:
             return self._port.take(peer, gallery, _TAKE, desk.stop)
         address = self._addresses[peer]
         if address == AUTO:
@@ -103,19 +112,20 @@ class Reaching:
             address = found
         return dial(address, credentials, peer, gallery, wait=_CALL, timeout=desk.timeout)
 
-    def _answered(self, robot: str, peer: str, own: str) -> bool:
-        """Whether this robot is called: the first of a pair is, unless only the second has an address."""
-        order = [agent.name for agent in self._folder.mission.agents]
-        first = order.index(robot) < order.index(peer)
-        mine, theirs = own != AUTO, self._addresses[peer] != AUTO
-        return first if mine == theirs else mine
-
     def _own_port(self) -> int | None:
         deadline = time.monotonic() + 1.0
         while self._port is not None and not self._port.addresses and time.monotonic() < deadline:
             time.sleep(0.01)
         addresses = self.addresses
         return int(addresses[0].rpartition(":")[2]) if addresses else None
+
+
+def _answers(plan: Mapping[str, str], robot: str, peer: str) -> bool:
+    """Whether a peer calls this robot: who comes first is called, unless only the second has an address."""
+    order, fixed = list(plan), plan[robot] != AUTO
+    if fixed == (plan[peer] != AUTO):
+        return order.index(robot) < order.index(peer)
+    return fixed
 
 
 class _Way:

@@ -4,11 +4,12 @@
 
     keyframes   number, stamp, payload
     vectors     gallery, keyframe, vector and a digest of it as quantised, in the order in which they came
-    slots       peer, gallery, slot: the keyframe in it
-    matches     peer, gallery, own slot, the peer's slot: keyframes, state, verdicts
-    opened      peer, gallery, the peer's slot: what the peer has shown of it, kept as evidence
+    links       a peer and a gallery
+    slots       link, own slot: the keyframe in it
+    matches     link, own slot, the peer's slot: keyframe, state, verdicts
+    opened      link, the peer's slot: what the peer has shown of it, kept as evidence
     news        number: a match and the state that it reached
-    strikes     peer, why, when
+    strikes     peer, match, why, when
     about       name, value
 
 What was compared is in the galleries' ledgers and nowhere else; what stands here is read from there again
@@ -36,19 +37,21 @@ CREATE TABLE vectors (
     place INTEGER PRIMARY KEY AUTOINCREMENT, gallery TEXT NOT NULL, keyframe INTEGER NOT NULL,
     digest BLOB NOT NULL, vector BLOB NOT NULL, UNIQUE (gallery, keyframe)
 );
+CREATE TABLE links (
+    link INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT NOT NULL, gallery TEXT NOT NULL, UNIQUE (peer, gallery)
+);
 CREATE TABLE slots (
-    peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER,
-    PRIMARY KEY (peer, gallery, slot)
+    link INTEGER NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER, PRIMARY KEY (link, slot)
 );
 CREATE TABLE matches (
-    match INTEGER PRIMARY KEY AUTOINCREMENT, peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL,
+    match INTEGER PRIMARY KEY AUTOINCREMENT, link INTEGER NOT NULL, slot INTEGER NOT NULL,
     peer_slot INTEGER NOT NULL, keyframe INTEGER, state TEXT NOT NULL, why TEXT NOT NULL DEFAULT '',
     transform TEXT, weight REAL, peer_state TEXT, told INTEGER NOT NULL DEFAULT 0,
-    UNIQUE (peer, gallery, slot, peer_slot)
+    UNIQUE (link, slot, peer_slot)
 );
 CREATE TABLE opened (
-    peer TEXT NOT NULL, gallery TEXT NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER, stamp REAL,
-    vector BLOB NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (peer, gallery, slot)
+    link INTEGER NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER, stamp REAL, vector BLOB NOT NULL,
+    payload BLOB NOT NULL, PRIMARY KEY (link, slot)
 );
 CREATE TABLE news (
     number INTEGER PRIMARY KEY AUTOINCREMENT, match INTEGER NOT NULL, state TEXT NOT NULL,
@@ -104,6 +107,12 @@ class Records:
             raise sqlite3.DatabaseError("it is another application's data base")
         if self.all("SELECT value FROM about WHERE name = 'mission'") != [(mission,)]:
             raise sqlite3.DatabaseError("it is of another mission: move it away, or give the right folder")
+
+    def link(self, peer: str, gallery: str) -> int:
+        """The number of a gallery with a peer."""
+        with self.transaction():
+            self.run("INSERT OR IGNORE INTO links (peer, gallery) VALUES (?, ?)", peer, gallery)
+            return int(self.all("SELECT link FROM links WHERE peer = ? AND gallery = ?", peer, gallery)[0][0])
 
     def all(self, query: str, *values: object) -> list[Any]:
         """All rows of a query."""

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from protocols.agent.allowance import Allowance
 from protocols.agent.desk import Desk, Peer
 from protocols.agent.events import Event
-from protocols.agent.keyframe import Keyframe
-from protocols.agent.keyframes import digest_of
-from protocols.agent.matches import Pair
+from protocols.agent.keyframe import Keyframe, Meeting, Verdict
+from protocols.agent.keyframes import Slots, digest_of
+from protocols.agent.matches import Matches, Pair
 from protocols.agent.showing import show
 from protocols.agent.turns import MOST_OUTCOMES, MOST_PAIRS, TOGETHER, Saying
-from protocols.agent.verifier import Verifier, meeting_of
+from protocols.agent.verifier import Verifier
 from spdz.foundations.types import IntArray
 from spdz.readings.gallery import Terms
 from spdz.session import Block, GallerySession, Step
@@ -41,6 +43,9 @@ class Turns:
     ) -> None:
         self._desk, self._peer, self._gallery, self._terms = desk, peer, gallery, terms
         self._where = (peer.name, gallery)
+        self._matches = Matches(desk.records, *self._where)
+        self._slots = Slots(desk.records, *self._where)
+        self._allowance = Allowance(peer, desk.strikes, lambda text: self._tell("budget", text))
         self._verifier, self._wake = verifier, wake
         self._waiting: list[IntArray] = []
         self._capacity = (0, 0)
@@ -50,7 +55,7 @@ class Turns:
         self._left = 0
         self._sent = self._rounds = self._compared = 0
         self._idle_until = 0.0
-        self._spent = self._full = self._open = False
+        self._full = self._open = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
         """Take up what a new connection brings: slots that were filled, results that were missed.
@@ -63,22 +68,21 @@ class Turns:
         self._capacity = session.capacity
         self._reconcile(session)
         self._find(list(session.results()))
-        self._true = self._desk.matches.pairs(*self._where)
+        self._true = self._matches.pairs()
         self._judge()
 
     def take(self, session: GallerySession) -> bool:
         """One turn; returns False when one of the two has ended."""
         saying = self._saying(session)
         heard = Saying.read(session.exchange_note(saying.as_json()), self._capacity)
-        self._desk.matches.told(*self._where, saying.outcomes)
-        self._desk.matches.hear(*self._where, heard.outcomes)
+        self._matches.told(saying.outcomes)
+        self._matches.hear(heard.outcomes)
         if saying.leave or heard.leave:
             return False
         wanted = list(dict.fromkeys((*saying.want, *heard.want)))
         mine, theirs = min(saying.new, heard.room, TOGETHER), min(heard.new, saying.room, TOGETHER)
-        can = (
-            saying.due <= heard.room and heard.due <= saying.room
-        )  # what is in slots comes first, and all of it
+        # What is in slots already is brought first, and all of it.
+        can = saying.due <= heard.room and heard.due <= saying.room
         if wanted:
             self._show(session, sorted(wanted, key=lambda pair: pair[:: 1 - 2 * session.party]))
         elif can and (mine or theirs or saying.open or heard.open):
@@ -89,10 +93,9 @@ class Turns:
 
     def pause(self, longest: float) -> float:
         """Seconds that may pass before the next turn, if nothing happens."""
-        desk = self._desk
-        if desk.matches.untold(*self._where, 1):
+        if self._matches.untold(1):
             return 0.0
-        waits = bool(self._asked) or self._spent or bool(desk.keyframes.waiting(*self._where, most=1))
+        waits = self._allowance.spent or self._matches.unshown() or self._slots.waiting(most=1)
         return max(0.0, self._idle_until - time.monotonic()) if waits else longest
 
     def status(self) -> dict[str, Any]:
@@ -104,10 +107,10 @@ class Turns:
             "peer_held": self._held[1],
             "slots_left": self._left,
             "pairs": self._compared,
-            "matches": desk.matches.counts(*self._where),
-            "strikes": len(desk.matches.strikes(self._peer.name)),
+            "matches": self._matches.counts(),
+            "strikes": len(self._peer.strikes.reasons),
             "settled": self._settled,
-            "budget_spent": self._spent,
+            "budget_spent": self._allowance.spent,
             "bytes_sent": self._sent,
             "rounds": self._rounds,
         }
@@ -115,53 +118,23 @@ class Turns:
     @property
     def _settled(self) -> bool:
         """Whether all own keyframes are in slots, all filled slots compared, and all matches settled."""
-        where, desk = self._where, self._desk
-        return not (self._open or desk.keyframes.waiting(*where, most=1) or desk.matches.outstanding(*where))
+        return not (self._open or self._slots.waiting(most=1) or self._matches.outstanding)
 
     # -- a turn --------------------------------------------------------------------------------------
 
     def _saying(self, session: GallerySession) -> Saying:
-        desk, (own, theirs) = self._desk, self._held
-        want = self._wanted()
-        outcomes = desk.matches.untold(*self._where, MOST_OUTCOMES)
-        self._left = session.room
-        self._open, allowed = session.unfinished, self._allowed()
-        taken_back, due = len(self._waiting), session.due
-        fresh = desk.keyframes.waiting(*self._where, map(digest_of, self._waiting), TOGETHER)
-        if len(fresh) > self._left and not self._full:
+        want, outcomes = self._wanted(), self._matches.untold(MOST_OUTCOMES)
+        fresh = len(self._slots.waiting(map(digest_of, self._waiting), TOGETHER))
+        self._left, self._open = session.room, session.unfinished
+        if fresh > self._left and not self._full:
             self._full = True
             self._tell(
-                "slots", f"no slots are left for {desk.robot}'s keyframes with {self._peer.name}: deal more"
+                "slots", f"no slots are left for keyframes to be compared with {self._peer.name}: deal more"
             )
-        new = due + min(taken_back + min(len(fresh), self._left), self._share(allowed, theirs))
-        room = self._share(allowed, own)
-        return Saying(
-            min(new, TOGETHER), due, room, self._open and allowed > 0, want, outcomes, desk.stop.is_set()
-        )
-
-    def _share(self, allowed: int, others: int) -> int:
-        """Descriptors that may be compared with all of the other side's; one where nothing was spent yet."""
-        least = 1 if allowed and self._peer.pairs.untouched else 0
-        return min(TOGETHER, max(least, allowed // max(1, others)))
-
-    def _allowed(self) -> int:
-        """Pairs that may be compared now."""
-        peer, matches = self._peer, self._desk.matches
-        strikes, unsettled = len(matches.strikes(peer.name)), matches.outstanding(peer.name)
-        spent = not (peer.pairs.left and peer.matches.left)
-        if spent != self._spent:
-            self._spent = spent
-            self._idle_until = time.monotonic() + _AGAIN
-            if spent:
-                what = "pairs" if not peer.pairs.left else "matches"
-                seconds = max(peer.pairs.pause, peer.matches.pause)
-                self._tell(
-                    "budget",
-                    f"the budget of {what} a minute with {peer.name} is spent: on in {seconds:.0f} s",
-                )
-        if spent or unsettled + strikes >= max(1, self._desk.strikes):
-            return 0
-        return peer.pairs.left
+        due, waiting = session.due, len(self._waiting) + min(fresh, self._left)
+        brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *self._held)
+        leaves = self._desk.stop.is_set() or self._allowance.struck
+        return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves)
 
     def _compare(self, session: GallerySession, mine: int, theirs: int) -> None:
         """One step of the gallery, with so many descriptors of either side."""
@@ -170,7 +143,7 @@ class Turns:
         del self._waiting[mine:]
         if missing := mine - len(self._waiting):
             besides = map(digest_of, self._waiting)
-            fresh = self._desk.keyframes.waiting(*self._where, besides, missing)
+            fresh = self._slots.waiting(besides, missing)
             session.add(np.array([one.vector for one in fresh]).reshape(len(fresh), self._terms.dim))
         step = Step()
         try:
@@ -190,7 +163,7 @@ class Turns:
         """Keep and tell what is True in some results."""
         self._compared += sum(block.results.size for block in blocks)
         pairs = Step(blocks=list(blocks)).matches
-        news = self._desk.matches.found(*self._where, pairs) if pairs else []
+        news = self._matches.found(pairs) if pairs else []
         self._true.update(pairs)
         self._peer.matches.spend(len(news))
         for one in news:
@@ -199,12 +172,12 @@ class Turns:
     def _reconcile(self, session: GallerySession) -> None:
         """Find out which keyframes are in which slots, by what the ledger holds."""
         filled = session.filled
-        known = self._desk.keyframes.slots(*self._where)
+        known = self._slots.known()
         new = [slot for slot in filled if slot not in known]
         lost = set(known) - set(filled)
         if new or lost:
             digests = [digest_of(raw) for raw in session.plain(new)]
-            self._desk.keyframes.place(*self._where, dict(zip(new, digests, strict=True)), lost)
+            self._slots.place(dict(zip(new, digests, strict=True)), lost)
         self._held = [len(filled), len(session.peer_filled)]
 
     # -- matches -------------------------------------------------------------------------------------
@@ -212,11 +185,11 @@ class Turns:
     def _wanted(self) -> list[Pair]:
         """Matches to be shown now; those that the peer has withheld for too long are given up."""
         now, want = time.monotonic(), []
-        unshown = self._desk.matches.unshown(*self._where)
+        unshown = self._matches.unshown()
         for pair in unshown:
             if now - self._asked.setdefault(pair, now) > self._desk.grace:
                 why = f"{self._peer.name} has not shown its keyframe for {self._desk.grace:g} s"
-                if (news := self._desk.matches.withhold(*self._where, pair, why)) is not None:
+                if (news := self._matches.withhold(pair, why)) is not None:
                     self._desk.hub.tell(Event.of(news))
         self._asked = {pair: when for pair, when in self._asked.items() if pair in unshown}
         if now >= self._idle_until:
@@ -224,19 +197,19 @@ class Turns:
         return want
 
     def _show(self, session: GallerySession, wanted: list[Pair]) -> None:
-        matches = self._desk.matches
+        matches = self._matches
         self._idle_until = time.monotonic() + _AGAIN  # unless the peer shows all that is wanted
-        own = self._desk.keyframes.slots(*self._where)
+        own = self._slots.known()
         true = {pair for pair in self._true if own.get(pair[0]) is not None}
-        seen = matches.shown(*self._where, [slot for _, slot in wanted])
+        seen = matches.shown([slot for _, slot in wanted])
         _, shown = show(session, wanted, true, seen, self._own_keyframe, self._capacity)
-        matches.show(*self._where, shown.items())
+        matches.show(shown.items())
         if shown:
             self._idle_until = 0.0
             self._judge()
 
     def _own_keyframe(self, slot: int) -> Keyframe:
-        number = self._desk.keyframes.slots(*self._where).get(slot)
+        number = self._slots.known().get(slot)
         keyframe = None if number is None else self._desk.keyframes.get(number, self._gallery)
         if keyframe is None:
             raise ValueError(f"the keyframe in slot {slot} is not known any more")
@@ -244,10 +217,16 @@ class Turns:
 
     def _judge(self) -> None:
         """Have all matches verified that both sides have shown."""
-        for match, pair, keyframe in self._desk.matches.unverified(*self._where):
-            meeting = meeting_of(self._desk, *self._where, pair, keyframe)
-            if meeting is not None:
-                self._verifier.judge(match, meeting, self._wake)
+        for match, pair, keyframe in self._matches.unverified():
+            own = None if keyframe is None else self._desk.keyframes.get(keyframe, self._gallery)
+            other = self._matches.theirs(pair[1])
+            if own is not None and other is not None:
+                self._verifier.judge(match, Meeting(*self._where, own, other), partial(self._settle, match))
+
+    def _settle(self, match: int, verdict: Verdict) -> None:
+        """Keep and tell a verdict; in the verifier's thread."""
+        self._desk.hub.tell(Event.of(self._matches.settle(match, verdict)))
+        self._wake()
 
     def _tell(self, name: str, text: str) -> None:
         self._desk.tell(name, text, *self._where)

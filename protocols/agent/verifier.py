@@ -5,10 +5,13 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
+from typing import TypeAlias
 
 from protocols.agent.desk import Desk
-from protocols.agent.events import Event
 from protocols.agent.keyframe import Meeting, Verdict
+
+Settle: TypeAlias = Callable[[Verdict], None]
+_Case: TypeAlias = tuple[int, Meeting, Settle]
 
 
 class Verifier:
@@ -20,16 +23,22 @@ class Verifier:
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._waiting: queue.SimpleQueue[tuple[int, Meeting, Callable[[], None]] | None] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[_Case | None] = queue.SimpleQueue()
         self._known: set[int] = set()
         self._thread = threading.Thread(target=self._run, name="spdz verifier", daemon=True)
         self._thread.start()
 
-    def judge(self, match: int, meeting: Meeting, done: Callable[[], None]) -> None:
-        """Have a match verified, unless it is being verified already; ``done`` is called when it is."""
+    def judge(self, match: int, meeting: Meeting, settle: Settle) -> None:
+        """Have a match verified, unless it is being verified already.
+
+        Args:
+            match: Its number.
+            meeting: What the verification sees.
+            settle: Takes the verdict, in this thread.
+        """
         if match not in self._known:
             self._known.add(match)
-            self._waiting.put((match, meeting, done))
+            self._waiting.put((match, meeting, settle))
 
     def close(self, seconds: float) -> None:
         """End after the verification under way, or leave it behind after some seconds."""
@@ -38,15 +47,12 @@ class Verifier:
 
     def _run(self) -> None:
         while (entry := self._waiting.get()) is not None and not self._desk.stop.is_set():
-            match, meeting, done = entry
+            match, meeting, settle = entry
             try:
-                news = self._desk.matches.settle(match, self._verdict(meeting))
-            except OSError as error:  # it is judged again after a restart
+                settle(self._verdict(meeting))
+            except OSError as error:  # it is judged again on the next connection
                 self._desk.tell("records", f"a verdict is lost: {error}", meeting.peer, meeting.gallery)
                 self._known.discard(match)
-                continue
-            self._desk.hub.tell(Event.of(news))
-            done()
 
     def _verdict(self, meeting: Meeting) -> Verdict:
         verify = self._desk.verify
@@ -61,12 +67,3 @@ class Verifier:
             self._desk.tell("verification", why, meeting.peer, meeting.gallery, keyframe=meeting.own.id)
             return Verdict(False, why[:200])
         return verdict
-
-
-def meeting_of(
-    desk: Desk, peer: str, gallery: str, pair: tuple[int, int], keyframe: int | None
-) -> Meeting | None:
-    """The meeting of a pair of slots; None if one half is not known here."""
-    own = None if keyframe is None else desk.keyframes.get(keyframe, gallery)
-    other = desk.matches.theirs(peer, gallery, pair[1])
-    return None if own is None or other is None else Meeting(peer, gallery, own, other)

@@ -50,7 +50,7 @@ class Folder:
             more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
             raise ValueError(
                 f"{path} lacks {', '.join(missing[:3])}{more}: the folder was not copied as a whole. Copy "
-                "what is missing from where the dealer wrote it; what was used already is never to be copied again"
+                "what is missing from where the dealer wrote it, and nothing that was used already"
             )
         return folder
 

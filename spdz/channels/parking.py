@@ -7,11 +7,8 @@ import time
 from dataclasses import dataclass
 
 from spdz.channels.stream import Stream
-from spdz.channels.topic import answer, is_waiting, replace
+from spdz.channels.topic import LOOK_SECONDS, answer, is_waiting, replace
 from spdz.foundations.errors import ChannelClosed
-
-_LOOK_SECONDS = 0.2
-"""How often a wait looks whether it is to stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,5 +88,5 @@ class Parking:
                 left = deadline - time.monotonic()
                 if left <= 0 or (stop is not None and stop.is_set()):
                     return None
-                self._changed.wait(min(left, _LOOK_SECONDS if stop is not None else threading.TIMEOUT_MAX))
+                self._changed.wait(min(left, LOOK_SECONDS if stop is not None else threading.TIMEOUT_MAX))
             raise ChannelClosed(self._end, passing=False)

@@ -24,7 +24,7 @@ from types import TracebackType
 
 from spdz.channels.addresses import NotYet, parse_address, patiently
 from spdz.channels.base import DEFAULT_TIMEOUT, Channel, check_limits
-from spdz.channels.frames import MAX_FRAME, FrameKind
+from spdz.channels.frames import MAX_FRAME
 from spdz.channels.listening import Listener, addresses_of, open_listener
 from spdz.channels.parking import Parking
 from spdz.channels.reception import Reception
@@ -33,8 +33,8 @@ from spdz.channels.tcp import DEFAULT_WAIT
 from spdz.channels.telling import Teller, ignore, in_seconds
 from spdz.channels.tls import make_context, reach
 from spdz.channels.tls_stream import TlsStream
-from spdz.channels.topic import TopicCaller, topic_bytes
-from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, ProtocolViolation
+from spdz.channels.topic import TopicCaller, be_taken, topic_bytes
+from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
 
 _AGAIN = 60.0
 """Seconds before a reason that takes turns with others is told again: a port is open for hours."""
@@ -220,6 +220,7 @@ def dial(
     timeout: float = DEFAULT_TIMEOUT,
     max_frame: int = MAX_FRAME,
     on_event: Callable[[str], None] = ignore,
+    stop: threading.Event | None = None,
 ) -> SocketChannel:
     """Call a peer's port about a topic, and wait until the call is taken.
 
@@ -233,6 +234,8 @@ def dial(
         timeout: Seconds that the TLS handshake, one call that is not taken, and then one exchange, may take.
         max_frame: Largest payload in bytes.
         on_event: Called with a sentence when the reason changes why there is no connection yet.
+        stop: Ends the wait when it is set: within a fraction of a second where the peer is there, else after
+            the attempt to connect that is under way.
 
     Raises:
         ValueError: if an argument is malformed or the credentials cannot be used.
@@ -243,39 +246,33 @@ def dial(
         ProtocolViolation: if the peer sent anything but the topic.
     """
     check_limits(timeout, max_frame)
-    parse_address(address)
-    name = topic_bytes(topic)
+    topic_bytes(topic)
     context = make_context(credentials, ssl.PROTOCOL_TLS_CLIENT)
     teller, deadline = Teller(on_event), time.monotonic() + wait
     what = f"{peer!r} does not take this robot's call about {topic!r}"
 
     def attempt() -> SocketChannel:
         left = max(0.0, deadline - time.monotonic())
-        stream = reach(address, context, peer, left, timeout, teller)
-        patience = min(timeout, max(_LEAST_SECONDS, deadline - time.monotonic()))
-        _be_taken(stream, name, patience, what)
+        stream = reach(address, context, peer, left, timeout, teller, stop)
+        try:
+            patience = min(timeout, max(_LEAST_SECONDS, deadline - time.monotonic()))
+            be_taken(stream, topic, patience, stop)
+        except BaseException as error:
+            stream.part(b"")
+            if isinstance(error, ChannelTimeout):
+                raise NotYet("it is there; is it busy, or started without this gallery?", what) from error
+            if isinstance(error, ChannelClosed) and error.passing:
+                raise NotYet(str(error), what) from error
+            raise
         return SocketChannel(stream, timeout, max_frame)
 
     def give_up(last: NotYet) -> ChannelError:
-        return ChannelTimeout(f"{last} (called for {in_seconds(wait)} at {address})")
+        ended = stop is not None and stop.is_set()
+        return ChannelTimeout(
+            f"{last} ({'stopped' if ended else f'called for {in_seconds(wait)}'}, at {address})"
+        )
 
-    return patiently(attempt, deadline, give_up, teller, what)
-
-
-def _be_taken(stream: TlsStream, name: bytes, seconds: float, what: str) -> None:
-    """Name the topic and wait for the answer; closes the stream if none comes."""
-    call = SocketChannel(stream, seconds, len(name))
-    try:
-        reply = call.exchange(FrameKind.CONTROL, [name], len(name))
-        if reply != name:
-            raise ProtocolViolation("the peer answered a call about another topic")
-    except BaseException as error:
-        call.close()
-        if isinstance(error, ChannelTimeout):
-            raise NotYet("it is there; is it busy, or started without this gallery?", what) from error
-        if isinstance(error, ChannelClosed) and error.passing:
-            raise NotYet(str(error), what) from error
-        raise
+    return patiently(attempt, deadline, give_up, teller, what, stop)
 
 
 def _names(names: Collection[str], what: str) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+import threading
 from collections.abc import Callable, Collection
 from pathlib import Path
 
@@ -114,9 +115,15 @@ def connect(
 
 
 def reach(
-    address: str, context: ssl.SSLContext, peer: str, wait: float, timeout: float, teller: Teller
+    address: str,
+    context: ssl.SSLContext,
+    peer: str,
+    wait: float,
+    timeout: float,
+    teller: Teller,
+    stop: threading.Event | None = None,
 ) -> TlsStream:
-    """The connection of :func:`connect`, as a stream."""
+    """The connection of :func:`connect`, as a stream; no further attempt begins once ``stop`` is set."""
 
     def establish(sock: socket.socket, seconds: float) -> TlsStream:
         stream = TlsStream(sock, context, server_side=False)
@@ -128,7 +135,7 @@ def reach(
             raise
         return stream
 
-    return call(address, wait, timeout, teller, establish)
+    return call(address, wait, timeout, teller, establish, stop)
 
 
 def make_context(credentials: Path, protocol: int) -> ssl.SSLContext:

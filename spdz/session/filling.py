@@ -22,7 +22,7 @@ from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.session.agreement import Agreement
 from spdz.session.handshake import shown
-from spdz.session.meeting import MOST
+from spdz.session.meeting import MOST, PREPARED
 from spdz.session.shelf import Shelf
 from spdz.session.strips import Step
 from spdz.values.input_mask import element_bytes, inside, pack, unpack
@@ -114,6 +114,21 @@ class Filling:
         step.peer += [slot for slot, words in received if words is not None]
         self.sent = own.filled
         return bool(self.waiting) or bool(answer["more"])
+
+    def restore(self, ready: tuple[int, int], alpha: int | None) -> None:
+        """Read what earlier sessions have filled; what the peer has not prepared is prepared once more.
+
+        Args:
+            ready: Slots of either party, from the first on, that both sides have prepared.
+            alpha: This party's share of the MAC key; None in semi-honest mode.
+        """
+        for shelf in self.shelves:
+            slots = self.ledger.slots[shelf.owner]
+            for start in range(0, slots.filled, PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
+                self.place(shelf.owner, entries)
+                known = [slot for slot, words in entries if words is not None and slot < ready[shelf.owner]]
+                shelf.restore(known, [slots.noted(slot) or b"" for slot in known], alpha)
 
     def take_back(self, slots: Sequence[int]) -> None:
         """Bring the descriptors in own slots that become void once more, in other slots."""
