@@ -21,6 +21,7 @@ def parser() -> argparse.ArgumentParser:
     from bench.demo.cli import add_demo
     from protocols.agent.cli import add_agent
     from protocols.cli import add_match
+    from protocols.stacks.cli import add_replay, add_ros
     from protocols.tape_cli import add_tape
 
     arguments: argparse.ArgumentParser = CommandParser(
@@ -31,6 +32,8 @@ def parser() -> argparse.ArgumentParser:
     commands = arguments.add_subparsers(required=True, metavar="COMMAND")
     add_match(commands)
     add_agent(commands)
+    add_ros(commands)
+    add_replay(commands)
     add_tape(commands)
     add_demo(commands)
     arguments.add_argument("--version", action="version", version=f"spdz {__version__}")

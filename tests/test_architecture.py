@@ -15,7 +15,7 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PACKAGES = ("spdz", "protocols", "dealer", "bench")
 DOORS = {"spdz.__main__", "spdz.dealer", "spdz.local"}
 BASE_DEPENDENCIES = {"numpy", "gmpy2", "cryptography", "threadpoolctl", "tomli"}
-OPTIONAL = {"rich", "distributed"}
+OPTIONAL = {"rich", "distributed", "cyclonedds", "zenoh", "rosbags"}
 LONGEST_FILE = 320
 
 
