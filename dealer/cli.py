@@ -26,11 +26,11 @@ from dealer.plan import (
 from dealer.report import Wanted
 from dealer.team import cli as team
 from dealer.team.options import settle
-from dealer.team.stopped import DealingStopped
 from protocols.catalog import Purpose
 from spdz.arithmetic.fixed_point import MAX_NORM
 from spdz.console.command import FAILED, run_command, say_error, wants_json
 from spdz.console.progress import progress_bar
+from spdz.foundations.errors import SpdzError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -85,7 +85,7 @@ def _deal_plan(options: argparse.Namespace) -> int:
     except (ValueError, OSError) as error:
         say_error(NAME, type(error).__name__, _sentence(error), as_json=options.json)
         return 2
-    except DealingStopped as error:
+    except SpdzError as error:
         say_error(NAME, type(error).__name__, str(error), as_json=options.json)
         return FAILED
     return 0

@@ -21,17 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.demo.dataset import Run
-from bench.demo.scan_context import Background, polar_grid, quarter_turns, scan_points, wall_direction
-from spdz.foundations.types import FloatArray, IntArray
+from bench.demo.mapping import PublicMap, dead_reckoning, keyframes, submaps
+from bench.demo.scan_context import polar_grid, quarter_turns
+from spdz.foundations.types import FloatArray
 
 ALICE, BOB = range(0, 800), range(800, 1800)
-PUBLIC_FROM = 1800
-"""Scans from here on are the public map."""
-
 SPACING = 4.0
 """Metres of travel from keyframe to keyframe."""
-REACH = 20.0
-"""A submap holds the robot's own scans within this many metres of travel, before and after its keyframe."""
 SAME, DIFFERENT = 1.0, 4.0
 """Keyframes within 1 m are the same place, beyond 4 m different ones; between, they are left out."""
 DEFAULT_THRESHOLD = 0.42
@@ -100,20 +96,14 @@ def robots(run: Run, *, spacing: float = SPACING, turns: int = 1) -> tuple[Robot
     """
     if turns not in (1, 4) or not spacing > 0:
         raise ValueError(f"expected turns 1 or 4 and a spacing above 0, got {turns} and {spacing}")
-    if len(run.poses) <= PUBLIC_FROM:
-        raise ValueError(f"expected a run of more than {PUBLIC_FROM} scans, got {len(run.poses)}")
-    public = range(PUBLIC_FROM, len(run.poses))
-    walls = wall_direction(_points(run, public, run.poses[public]), 0.0)
-    background = Background.fit(
-        _grids(run, public, run.poses[public], walls, _keyframes(run, public, spacing))
-    )
+    public = PublicMap.of(run, spacing)
 
     def robot(name: str, scans: range, offered: int) -> Robot:
-        keyframes = _keyframes(run, scans, spacing)
-        grids = _grids(run, scans, _dead_reckoning(run, scans), walls, keyframes)
-        turned = np.concatenate([quarter_turns(grid, offered) for grid in grids])
-        positions = run.poses[scans.start + keyframes, :2]
-        return Robot(name, run.poses[scans, :2], positions, background.describe(turned), offered)
+        at = keyframes(run, scans, spacing)
+        around = submaps(run, scans, dead_reckoning(run, scans), public.walls, at)
+        turned = np.concatenate([quarter_turns(polar_grid(submap), offered) for submap in around])
+        positions = run.poses[scans.start + at, :2]
+        return Robot(name, run.poses[scans, :2], positions, public.background.describe(turned), offered)
 
     return robot("alice", ALICE, 1), robot("bob", BOB, turns)
 
@@ -149,47 +139,3 @@ def precision_recall(decisions: npt.NDArray[np.bool_], truth: npt.NDArray[np.int
     declared = true_positives + false_positives
     precision = true_positives / declared if declared else float("nan")
     return Quality(precision, true_positives / to_find, true_positives, false_positives)
-
-
-def _points(run: Run, scans: range, poses: FloatArray) -> FloatArray:
-    return scan_points(run.ranges[scans], run.bearings, poses)
-
-
-def _travel(run: Run, scans: range) -> FloatArray:
-    """Metres travelled at each scan since the first, by odometry."""
-    steps = run.odometry[scans.start : scans.stop - 1, :2]
-    return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
-
-
-def _dead_reckoning(run: Run, scans: range) -> FloatArray:
-    """The robot's own poses: odometry from the origin, with the compass heading at the first scan."""
-    steps = run.odometry[scans.start : scans.stop - 1]
-    heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])]) + run.poses[scans.start, 2]
-    moves = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(1j * heading[:-1])
-    position = np.concatenate([[0.0], np.cumsum(moves)])
-    return np.stack([position.real, position.imag, heading], axis=1)
-
-
-def _keyframes(run: Run, scans: range, spacing: float) -> IntArray:
-    """Scans, counted from the first, at least ``spacing`` metres of travel apart."""
-    travel = _travel(run, scans)
-    keyframes = [0]
-    for scan in range(len(travel)):
-        if travel[scan] - travel[keyframes[-1]] >= spacing:
-            keyframes.append(scan)
-    return np.array(keyframes, dtype=np.int64)
-
-
-def _grids(run: Run, scans: range, poses: FloatArray, walls: float, keyframes: IntArray) -> FloatArray:
-    """Polar grids of the submaps around keyframes, turned to the walls."""
-    points, travel = _points(run, scans, poses), _travel(run, scans)
-    grids = []
-    for keyframe in keyframes:
-        first = np.searchsorted(travel, travel[keyframe] - REACH)
-        last = np.searchsorted(travel, travel[keyframe] + REACH, side="right")
-        submap = points[first:last]
-        direction = wall_direction(submap, walls)
-        offsets = submap[np.isfinite(submap[..., 0])] - poses[keyframe, :2]
-        turned = (offsets[:, 0] + 1j * offsets[:, 1]) * np.exp(-1j * direction)
-        grids.append(polar_grid(np.stack([turned.real, turned.imag], axis=1)))
-    return np.stack(grids)

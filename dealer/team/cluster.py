@@ -21,9 +21,11 @@ from typing import Any
 
 from dealer.team.here import cores
 from dealer.team.pair import deal_pair, room_here
+from dealer.team.record import Record
 from dealer.team.room import Room
 from dealer.team.stopped import DealingStopped
-from dealer.team.tasks import Task
+from dealer.team.tasks import Task, size_of
+from protocols.memory import require_memory
 from spdz.channels.addresses import parse_address
 from spdz.console.command import tune_process
 from spdz.tape.durable import PRIVATE_FOLDER
@@ -130,9 +132,11 @@ def _is_recorded(room: Room, task: Task, record: Any) -> bool:
     return bool(room.record(task) == record)
 
 
-def deal_on_worker(out: str, mission_id: str, version: str, couple: tuple[str, str], gallery: str) -> Any:
+def deal_on_worker(out: str, mission_id: str, version: str, couple: tuple[str, str], gallery: str) -> Record:
     """:func:`dealer.team.pair.deal_pair` in a process of a cluster."""
     tune_process()
+    room, task = room_here(out, mission_id, version), Task(couple, gallery)
+    require_memory(size_of(room.mission, task).memory, f"dealing {task.key}", "start fewer workers a machine")
     return deal_pair(out, mission_id, couple, gallery, version)
 
 

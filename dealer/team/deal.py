@@ -67,7 +67,11 @@ def deal_team(
     sizes = {task: size_of(mission, task) for task in tasks_of(mission)}
     largest = max(size.memory for size in sizes.values())
     if cluster is None:
-        require_memory(largest, "dealing a gallery", "deal for fewer keyframes, or on another machine")
+        require_memory(
+            largest * (workers or 1),
+            "dealing",
+            "give fewer --workers, plan for fewer keyframes, or deal elsewhere",
+        )
     if not (out / ROOM).exists():
         check_disk(out, sum(sum(size.tape_bytes) for size in sizes.values()), _REMEDY)
     with opened_room(out, mission) as room:

@@ -7,16 +7,14 @@ on at any of them. A robot's folder is filled where nobody looks for it and then
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
-from dealer.team.room import HALVES, Room
+from dealer.team.record import HALVES, Record, read_header
+from dealer.team.room import Room
 from dealer.team.tasks import Task, tasks_of
 from protocols.mission.folder import tape_name
 from protocols.mission.mission import canonical
 from spdz.foundations.errors import TapeError
-from spdz.gallery.format import GalleryHeader, read_gallery_header
 from spdz.tape.durable import replace_file, sync_folder
 
 _AGAIN = "Begin again with another --out"
@@ -45,7 +43,7 @@ def hand_out(room: Room) -> dict[Path, int]:
     totals: dict[Path, int] = {}
     for agent in room.mission.agents:
         own = [task for task in tasks if agent.name in task.couple]
-        totals[room.out / agent.name] = sum(_bytes(room, t)[t.couple.index(agent.name)] for t in own)
+        totals[room.out / agent.name] = sum(_record(room, t).sizes[t.couple.index(agent.name)] for t in own)
         staged = room.robot(agent.name)
         if staged.exists():
             _refuse_to_overwrite(room.out / agent.name)
@@ -54,8 +52,7 @@ def hand_out(room: Room) -> dict[Path, int]:
     sync_folder(room.out)
     sync_folder(room.path / "robots")
     replace_file(room.finished, canonical({folder.name: size for folder, size in totals.items()}))
-    for name in ("robots", "work"):
-        shutil.rmtree(room.path / name, ignore_errors=True)
+    room.close()
     return totals
 
 
@@ -69,39 +66,26 @@ def _moves(room: Room, task: Task) -> list[tuple[Path, Path]]:
 
 def _check(room: Room, task: Task) -> None:
     """Refuse halves that are not of one dealing of this task."""
-    sizes, headers = _bytes(room, task), []
+    record = _record(room, task)
     for party, (source, target) in enumerate(_moves(room, task)):
         own = task.couple[party]
         if not room.robot(own).exists():  # handed out by an earlier run, and perhaps taken away since
             continue
         path = source if source.exists() else target
         try:
-            header = _header(path)
+            header = read_header(path)
         except (OSError, TapeError) as error:
             raise ValueError(f"a dealt tape is of no use any more: {error}. {_AGAIN}") from error
-        if path.stat().st_size != sizes[party]:
-            raise ValueError(f"{path} is not as it was dealt. {_AGAIN}")
-        expected = (room.mission_id, task.couple, party, task.gallery)
-        if (header.mission, header.agents, header.party, header.program.get("gallery")) != expected:
-            raise ValueError(f"{path} is not of this mission. {_AGAIN}")
-        headers.append(header)
-    if len({header.tape for header in headers}) > 1:
-        raise ValueError(f"the halves of {task.key} are of different dealings. {_AGAIN}")
+        found = (header.mission, header.tape, header.agents, header.party, header.program.get("gallery"))
+        if found != (room.mission_id, record.tape, task.couple, party, task.gallery):
+            raise ValueError(f"{path} is not what was dealt. {_AGAIN}")
 
 
-def _header(path: Path) -> GalleryHeader:
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        return read_gallery_header(descriptor, path)[0]
-    finally:
-        os.close(descriptor)
-
-
-def _bytes(room: Room, task: Task) -> Sequence[int]:
+def _record(room: Room, task: Task) -> Record:
     record = room.record(task)
     if record is None:
         raise ValueError(f"{task.key} is not dealt")
-    return list(record["bytes"])
+    return record
 
 
 def _refuse_to_overwrite(path: Path) -> None:

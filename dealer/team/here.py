@@ -62,15 +62,17 @@ def deal_here(
                 future.result()
                 on_dealt(futures[future])
             poll()
+        pool.shutdown()
     except BrokenProcessPool as error:
         raise DealingStopped(
             "a dealing process died, perhaps for lack of memory. What was dealt stays: give the same command "
             "to go on, with fewer --workers if it happens again"
         ) from error
     finally:
-        held.close()  # the processes end, at once
+        held.close()  # what still runs ends, at once
         pool.shutdown(wait=True, cancel_futures=True)
         alive.close()
+        room.clear()
 
 
 def _arguments(room: Room, task: Task) -> tuple[str, str, tuple[str, str], str]:

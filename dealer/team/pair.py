@@ -9,7 +9,6 @@ which only the first one can; all others find the pair published and return the 
 from __future__ import annotations
 
 import errno
-import hashlib
 import os
 import secrets
 import shutil
@@ -17,14 +16,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dealer.gallery import deal_gallery
-from dealer.team.room import HALVES, Room, write_record
+from dealer.team.record import HALVES, Record
+from dealer.team.room import Room
 from dealer.team.tasks import Task
-from spdz.foundations.types import Json
 from spdz.tape.durable import PRIVATE_FOLDER, sync_folder
 from spdz.version import __version__
 
 _TAKEN = (errno.EEXIST, errno.ENOTEMPTY)
-_CHUNK = 1 << 22
 
 
 def deal_pair(
@@ -34,7 +32,7 @@ def deal_pair(
     gallery: str,
     version: str = __version__,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> dict[str, Json]:
+) -> Record:
     """Deal a task of the room in ``out``, or find that it is dealt.
 
     Args:
@@ -46,7 +44,7 @@ def deal_pair(
         progress: Called with pairs of descriptors dealt and in all.
 
     Returns:
-        The record of the tapes that are published: their sizes and SHA-256, nothing secret.
+        The record of the tapes that are published.
 
     Raises:
         ValueError: if this is another version, or the room of another mission.
@@ -68,11 +66,7 @@ def deal_pair(
             description=plan.description(),
             progress=progress,
         )
-        halves = [work / name for name in HALVES]
-        write_record(
-            work,
-            {"bytes": [half.stat().st_size for half in halves], "sha256": [_sha256(half) for half in halves]},
-        )
+        Record.of(work).write(work)
         _publish(work, room.pair(task))
     finally:
         shutil.rmtree(work, ignore_errors=True)
@@ -112,11 +106,3 @@ def _publish(work: Path, target: Path) -> None:
         if error.errno not in _TAKEN and not target.exists():  # a network file system may ask twice
             raise
     sync_folder(target.parent)
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()

@@ -19,7 +19,6 @@ go on takes none. Records stay, so that nothing is ever dealt twice into one mis
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import shutil
@@ -30,11 +29,11 @@ from pathlib import Path
 from typing import Any
 
 from dealer.pki import MissionAuthority, write_credentials
+from dealer.team.record import Record, read_json
 from dealer.team.tasks import Task
 from protocols.mission import Mission
 from protocols.mission.folder import PLAN_FILE, plan_file
 from protocols.mission.mission import canonical
-from spdz.foundations.types import Json
 from spdz.tape.durable import (
     PRIVATE_FOLDER,
     create_private,
@@ -46,8 +45,6 @@ from spdz.tape.durable import (
 
 ROOM, LOCK = ".dealer", ".dealer.lock"
 _BEGUN = f"{ROOM}.*.partial"
-_RECORD = "record.json"
-HALVES = ("0.tape", "1.tape")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +84,23 @@ class Room:
         """Where a task's tapes are published."""
         return self.path / "pairs" / task.key
 
-    def record(self, task: Task) -> dict[str, Json] | None:
+    def record(self, task: Task) -> Record | None:
         """What was dealt for a task, or None.
 
         Raises:
             ValueError: if the record is damaged.
         """
-        return _read(self.pair(task) / _RECORD)
+        return Record.read(self.pair(task))
+
+    def clear(self) -> None:
+        """Remove what was half dealt."""
+        for half_done in self.work.iterdir():
+            shutil.rmtree(half_done, ignore_errors=True)
+
+    def close(self) -> None:
+        """Remove what is of no use once all is handed out."""
+        for name in ("robots", "work"):
+            shutil.rmtree(self.path / name, ignore_errors=True)
 
     @classmethod
     def enter(cls, out: Path) -> Room:
@@ -104,15 +111,10 @@ class Room:
             FileNotFoundError: if there is none.
         """
         file = out / ROOM / PLAN_FILE
-        values = _read(file)
+        values = read_json(file)
         if values is None:
             raise FileNotFoundError(f"there is no {file}")
         return cls(out, Mission.from_json(values.get("mission"), str(file)), str(values.get("id")))
-
-
-def write_record(folder: Path, record: dict[str, Json]) -> None:
-    """Write a pair's record beside its tapes, durably."""
-    replace_file(folder / _RECORD, canonical(record))
 
 
 @contextmanager
@@ -142,12 +144,12 @@ def _reentered(out: Path, mission: Mission) -> Room:
             "choose another --out, or go on with the plan that it was begun with"
         )
     if room.finished.exists():
+        room.close()
         raise FileExistsError(
             f"{out}: this mission was dealt and handed out, and is never dealt again: robots that had other "
             "halves could not meet. Choose another --out for a new one"
         )
-    for half_done in room.work.iterdir():
-        shutil.rmtree(half_done)
+    room.clear()
     return room
 
 
@@ -185,7 +187,7 @@ def _make_room(out: Path, mission: Mission) -> None:
             write_credentials(begun / "robots" / name, one)
             replace_file(begun / "robots" / name / PLAN_FILE, plan_file(mission, name, room.mission_id))
         replace_file(begun / PLAN_FILE, canonical({"mission": mission.as_json(), "id": room.mission_id}))
-        os.rename(begun, room.path)
+        os.rename(begun, room.path)  # where a lock holds on one machine only, one of two is refused
     except BaseException:
         shutil.rmtree(begun, ignore_errors=True)
         raise
@@ -216,15 +218,3 @@ def _locked(out: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def _read(file: Path) -> dict[str, Json] | None:
-    try:
-        values = json.loads(file.read_bytes())
-    except FileNotFoundError:
-        return None
-    except ValueError:
-        values = None
-    if not isinstance(values, dict):
-        raise ValueError(f"{file} is damaged: begin again with another --out")
-    return values

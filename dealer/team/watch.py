@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from dealer.team.room import HALVES, Room
+from dealer.team.record import HALVES
+from dealer.team.room import Room
 from dealer.team.tasks import Size, Task
 
 

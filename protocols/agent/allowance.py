@@ -34,14 +34,8 @@ class Allowance:
         could ask on while it is not yet known whether it pays for what it has learned.
         """
         peer = self._peer
-        spent = not (peer.pairs.left and peer.matches.left)
-        if spent and not self.spent:
-            what = "pairs" if not peer.pairs.left else "matches"
-            seconds = max(peer.pairs.pause, peer.matches.pause)
-            self._tell(f"the budget of {what} a minute with {peer.name} is spent: on in {seconds:.0f} s")
-        self.spent = spent
         unsettled = len(peer.strikes.reasons) + peer.strikes.outstanding
-        return 0 if spent or unsettled >= self._limit else peer.pairs.left
+        return 0 if unsettled >= self._limit or not peer.matches.left else peer.pairs.left
 
     def shares(self, waiting: int, own: int, theirs: int) -> tuple[int, int]:
         """How many descriptors this side brings, and how many it takes.
@@ -55,12 +49,20 @@ class Allowance:
             Both, such that the pairs that they make with each other and with what is held are allowed; at
             least one where nothing was spent yet: a budget below one descriptor's pairs would stop all.
         """
-        pairs = self.pairs
-        if not pairs:
-            return 0, 0
-        least = int(self._peer.pairs.untouched)
+        pairs, least = self.pairs, int(self._peer.pairs.untouched)
         # n more on both sides make n (own + theirs) + n^2 pairs.
         both = int((math.sqrt((own + theirs) ** 2 + 4 * pairs) - (own + theirs)) / 2)
-        brings = min(waiting, max(least, both))
-        takes = max(least, (pairs - brings * theirs) // max(1, own + brings))
+        brings = min(waiting, max(least, both)) if pairs else 0
+        takes = max(least, (pairs - brings * theirs) // max(1, own + brings)) if pairs else 0
+        self._note("matches" if not self._peer.matches.left else "pairs" if waiting and not both else "")
         return brings, takes
+
+    def _note(self, spent: str) -> None:
+        """Tell that a budget keeps something waiting, once."""
+        peer, was = self._peer, self.spent
+        gone = {"matches": peer.matches, "pairs": peer.pairs}.get(spent)
+        self.spent = gone is not None and not gone.untouched
+        if gone is not None and self.spent and not was:
+            self._tell(
+                f"the budget of {spent} a minute with {peer.name} is spent: on in {gone.pause:.0f} s or later"
+            )

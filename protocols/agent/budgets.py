@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -38,15 +37,9 @@ class Rate:
 
     @property
     def pause(self) -> float:
-        """Seconds until something is left; 0 if there is."""
-        if self.left:
-            return 0.0
-        over, now = self._sum - self._most + 1, self._clock()
-        for when, count in self._spent:
-            over -= count
-            if over <= 0:
-                return max(0.0, when + WINDOW - now)
-        return math.inf
+        """Seconds until more is left than now; 0 if nothing was spent."""
+        self._forget()
+        return self._spent[0][0] + WINDOW - self._clock() if self._spent else 0.0
 
     def spend(self, count: int) -> None:
         """Count some; what was not foreseen may exceed what is left."""

@@ -113,12 +113,10 @@ def read_file(path: Path, descriptor: str | None) -> list[Given]:
     if number is None:
         raise ValueError("its name has no number: call it NUMBER.npz")
     try:
-        loaded = np.load(path, allow_pickle=False)
-        arrays = (
-            {None: loaded}
-            if isinstance(loaded, np.ndarray)
-            else {name: loaded[name] for name in loaded.files}
-        )
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            whole = isinstance(loaded, np.ndarray)
+            arrays = {None: loaded} if whole else {name: loaded[name] for name in loaded.files}
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise NotWhole(f"it cannot be read as {path.suffix}: {error!s:.80}") from None
     if None in arrays:

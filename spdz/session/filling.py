@@ -136,7 +136,7 @@ class Filling:
         held = [(slot, words) for slot in slots if (words := own.eps(slot, slot + 1)[0]) is not None]
         if held:
             raw = b"".join(words for _, words in held)
-            masked = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            masked = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.entry)
             self.waiting[:0] = list(masked - shelf.masks([slot for slot, _ in held]))
 
     def place(self, owner: int, entries: Sequence[Entry]) -> None:
@@ -149,7 +149,7 @@ class Filling:
         if held:
             terms = self.terms
             raw = b"".join(words for _, words in held)
-            words = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            words = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.entry)
             self.shelves[owner].place([slot for slot, _ in held], words)
 
     @property
@@ -166,7 +166,7 @@ class Filling:
             if not count:
                 self.refuse_more_than(0, waiting)
             words = np.stack(self.waiting[done : done + count]) + shelf.masks(range(slot, slot + count))
-            good = inside(words, terms.word_bits, terms.norm).all(axis=1)
+            good = inside(words, terms.word_bits, terms.entry).all(axis=1)
             stop = count if good.all() else int(np.argmin(good))
             packed = pack(words[:stop], terms.word_bits).reshape(stop, self._size)
             entries += [(slot + i, packed[i].tobytes()) for i in range(stop)]

@@ -13,19 +13,18 @@ durable before the caller sees them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from spdz.channels import Channel, FrameKind
-from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.foundations.errors import TapeMismatch
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import FloatArray, IntArray, Json
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.slots import Notes
-from spdz.gallery.strip import Strip, between
+from spdz.gallery.strip import Strip
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -33,20 +32,20 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
-from spdz.session.admission import checked_plan, pinned_text, quantised
+from spdz.session.admission import checked_plan, pinned_text, quantised, refuse_unproved
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
-from spdz.session.conversation import Conversing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
+from spdz.session.holdings import Holdings
 from spdz.session.meeting import PREPARED
 from spdz.session.returning import meet_again
 from spdz.session.revealing import Revealing
 from spdz.session.shelf import Shelf, configured
-from spdz.session.strips import Block, Step, held_slots, stored_blocks
+from spdz.session.strips import Block, Step, held_slots
 
 
-class GallerySession(Conversing):
+class GallerySession(Holdings):
     """One party of a gallery, connected to the other.
 
     Args:
@@ -95,61 +94,6 @@ class GallerySession(Conversing):
         return (
             f"<gallery of {header.name} with {header.peer}{f': dead ({self._dead})' if self._dead else ''}>"
         )
-
-    @property
-    def party(self) -> int:
-        """0 or 1."""
-        return int(self._tape.header.party)
-
-    @property
-    def capacity(self) -> tuple[int, int]:
-        """Slots of this side and of the peer."""
-        own, peer = (self._tape.header.capacity[owner] for owner in (self.party, 1 - self.party))
-        return own, peer
-
-    @property
-    def room(self) -> int:
-        """Own slots that are neither used nor waited for."""
-        return self._filling.room
-
-    @property
-    def due(self) -> int:
-        """Own descriptors that are in slots and that the next step sends, before it brings any others."""
-        return len([slot for slot in self.filled if slot >= self._filling.sent])
-
-    def require_room(self, more: int) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
-        self._filling.refuse_more_than(self.room, more)
-
-    def results(self) -> Iterator[Block]:
-        """All results so far, as they were committed, strip by strip."""
-        return stored_blocks(self._ledger, self.party, bits=self._plan.bits)
-
-    def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw.
-
-        Raises:
-            ValueError: if a slot holds none.
-        """
-        if not set(slots) <= set(self.filled):
-            raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
-        return self._shelves[self.party].plain(slots)
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether pairs of filled slots wait to be compared, as after a step that was broken off."""
-        first, second = self._ledger.slots
-        return bool(self._comparing.again or between(self._ledger.done, (first.filled, second.filled)))
-
-    @property
-    def filled(self) -> list[int]:
-        """Own slots that hold a descriptor."""
-        return held_slots(self._ledger, self.party)
-
-    @property
-    def peer_filled(self) -> list[int]:
-        """The peer's slots that hold a descriptor."""
-        return held_slots(self._ledger, 1 - self.party)
 
     def add(self, descriptors: npt.ArrayLike) -> None:
         """Bring descriptors to the next step.
@@ -280,12 +224,7 @@ class GallerySession(Conversing):
         return [slot for slot in held_slots(self._ledger, owner) if slot >= self._ready[owner]][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
-        if proofs is not None and not proofs.all():
-            terms, bad = self._terms, slots[int(np.argmin(proofs))]
-            raise ProtocolViolation(
-                f"the vector in slot {bad} of {self._tape.header.agents[owner]} has not a norm between "
-                f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
-            )
+        refuse_unproved(self._terms, self._tape.header.agents[owner], slots, proofs)
 
     def reader(self, stream: RecordStream, stats: Stats) -> Party:
         """A party of this session that draws on some records."""
