@@ -63,7 +63,8 @@ class FakeAgent:
 
     def status(self) -> dict[str, Any]:
         why = [{"peer": peer, "why": {"code": text, "text": text}} for peer, text in self.why.items()]
-        return {"galleries": [{**one, "held": 1, "peer_held": 1, "settled": True} for one in why]}
+        more = {"gallery": "lidar", "held": 1, "peer_held": 1, "settled": True, "matches": {"verified": 2}}
+        return {"galleries": [{**one, **more} for one in why]}
 
 
 def unit(seed: int, dim: int = 8) -> np.ndarray:

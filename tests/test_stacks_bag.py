@@ -32,6 +32,7 @@ from protocols.stacks.swarm_slam import SwarmSlam
 from protocols.stacks.transport import Payload
 
 TOPIC = "/cslam/global_descriptors"
+REPLAY = [sys.executable, "-m", "spdz", "replay"]
 
 
 def record(path, keyframes=5, pace=0.5, topic=TOPIC, more=()):
@@ -222,31 +223,23 @@ def test_two_robots_replay_one_bag_and_find_what_the_clear_computation_finds(tmp
     ]
     write_bag(tmp_path / "team", sorted(messages, key=lambda message: message[0]))
     port = free_port()
+    sides = {"alice": ["--listen", f"127.0.0.1:{port}"], "bob": ["--peer", f"alice=127.0.0.1:{port}"]}
+    how = ["--speed", "5", "--json", "--until-quiet", "4"]
     processes = [
         subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "spdz",
-                "replay",
-                str(tmp_path / "team"),
-                "--mission",
-                str(mission / robot),
-            ]
-            + ["--speed", "5", "--json", "--until-quiet", "4", *where],
+            [*REPLAY, str(tmp_path / "team"), "--mission", str(mission / robot), *how, *where],
             stdout=subprocess.PIPE,
             text=True,
         )
-        for robot, where in (
-            ("alice", ["--listen", f"127.0.0.1:{port}"]),
-            ("bob", ["--peer", f"alice=127.0.0.1:{port}"]),
-        )
+        for robot, where in sides.items()
     ]
     try:
-        outputs = [process.communicate(timeout=200)[0] for process in processes]
+        outputs = [process.communicate(timeout=100)[0] for process in processes]
     finally:
         for process in processes:
             process.kill()
+            process.wait()
+            process.stdout.close()
     assert [process.returncode for process in processes] == [0, 0]
     alices, told = matches_of(outputs[0])
     bobs, _ = matches_of(outputs[1])
@@ -257,19 +250,10 @@ def test_two_robots_replay_one_bag_and_find_what_the_clear_computation_finds(tmp
 
 def test_replaying_a_bag_that_is_none_is_one_json_error(tmp_path):
     mission = deal(tmp_path, plan())
-    command = [
-        "replay",
-        str(tmp_path / "none"),
-        "--mission",
-        str(mission / "alice"),
-        "--json",
-        "--listen",
-        "127.0.0.1:0",
-    ]
+    where = ["--mission", str(mission / "alice"), "--listen", "127.0.0.1:0", "--json"]
     done = subprocess.run(
-        [sys.executable, "-m", "spdz", *command], capture_output=True, text=True, timeout=100
+        [*REPLAY, str(tmp_path / "none"), *where], capture_output=True, text=True, timeout=100
     )
-    assert done.returncode == 2
-    errors = [json.loads(line) for line in done.stdout.splitlines() if "error" in json.loads(line)]
-    assert len(errors) == 1 and "is no bag" in errors[0]["message"]
-    assert done.stderr == ""
+    assert done.returncode == 2 and done.stderr == ""
+    (error,) = [line for line in map(json.loads, done.stdout.splitlines()) if "error" in line]
+    assert "is no bag" in error["message"]

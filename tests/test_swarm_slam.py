@@ -307,3 +307,4 @@ def test_the_report_says_what_came_and_for_each_peer_why_nothing_matched():
     report = slam.report(agent.status())
     assert report["counts"] == {"received": 2, "added": 1, "refused: foreign robot": 1}
     assert report["why"]["carol"]["code"] == "below-threshold"
+    assert report["matches"] == {"bob": {"verified": 2}, "carol": {"verified": 2}}

@@ -271,5 +271,8 @@ def _report(options: argparse.Namespace, report: dict[str, Any]) -> None:
     elif not options.quiet:
         counts = ", ".join(f"{count} {what}" for what, count in report["counts"].items() if count)
         print(f"in all: {counts or 'nothing came'}", file=sys.stderr)
+        for peer, states in report["matches"].items():
+            found = ", ".join(f"{count} {state}" for state, count in states.items())
+            print(f"matches with {peer}: {found or 'none'}", file=sys.stderr)
         for why in report["why"].values():
             print(why["text"], file=sys.stderr)

@@ -60,7 +60,6 @@ class Replay:
         """Show what is found, for so long."""
         deadline = self.clock() + seconds
         for match in self.agent.matches(0.0):
-            self.adapter.found(match)
             self.show(match)
         time.sleep(max(0.0, deadline - self.clock()))
 

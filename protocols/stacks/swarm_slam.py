@@ -140,13 +140,17 @@ class SwarmSlam:
         """What came and what became of it, JSON-ready.
 
         Args:
-            status: The agent's, which says for each peer why nothing has matched.
+            status: The agent's, which says for each peer what has matched, or why nothing has.
         """
         counts = dict(self.counts)
         if self.payloads:
             counts["waiting for keyframe data"] = len(self._pairing)
-        galleries = [one for one in status.get("galleries", ()) if one["why"]["text"]]
-        return {"counts": counts, "why": {one["peer"]: dict(one["why"]) for one in galleries}}
+        galleries = [one for one in status["galleries"] if one["gallery"] == self.role.descriptor]
+        return {
+            "counts": counts,
+            "matches": {one["peer"]: dict(one["matches"]) for one in galleries},
+            "why": {one["peer"]: dict(one["why"]) for one in galleries if one["why"]["text"]},
+        }
 
     def _take_one(self, descriptor: GlobalDescriptor, stamp: float | None) -> None:
         keyframe, robot = descriptor.keyframe_id, descriptor.robot_id
