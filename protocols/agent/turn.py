@@ -54,7 +54,7 @@ class Turns:
         self._held = [0, 0]
         self._left = 0
         self._sent = self._rounds = self._compared = 0
-        self._idle_until = 0.0
+        self._ask_from = self._bring_from = 0.0  # not before, on the monotonic clock
         self._full = self._open = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
@@ -64,7 +64,8 @@ class Turns:
             session: The gallery, connected.
             waiting: What the session brings of itself.
         """
-        self._waiting, self._idle_until, self._compared = waiting, 0.0, 0
+        self._waiting, self._compared = waiting, 0
+        self._ask_from = self._bring_from = 0.0
         self._capacity = session.capacity
         self._reconcile(session)
         self._find(list(session.results()))
@@ -88,15 +89,19 @@ class Turns:
         elif can and (mine or theirs or saying.open or heard.open):
             self._compare(session, mine, theirs)
         else:
-            self._idle_until = time.monotonic() + _AGAIN
+            self._bring_from = time.monotonic() + _AGAIN
         return True
 
     def pause(self, longest: float) -> float:
         """Seconds that may pass before the next turn, if nothing happens."""
         if self._matches.untold(1):
             return 0.0
-        waits = self._allowance.spent or self._matches.unshown() or self._slots.waiting(most=1)
-        return max(0.0, self._idle_until - time.monotonic()) if waits else longest
+        due = [time.monotonic() + longest]
+        if self._matches.unshown():
+            due.append(self._ask_from)
+        if self._allowance.spent or self._slots.waiting(most=1):
+            due.append(self._bring_from)
+        return max(0.0, min(due) - time.monotonic())
 
     def status(self) -> dict[str, Any]:
         """Where the gallery stands, JSON-ready."""
@@ -192,20 +197,20 @@ class Turns:
                 if (news := self._matches.withhold(pair, why)) is not None:
                     self._desk.hub.tell(Event.of(news))
         self._asked = {pair: when for pair, when in self._asked.items() if pair in unshown}
-        if now >= self._idle_until:
+        if now >= self._ask_from:
             want = unshown[:MOST_PAIRS]
         return want
 
     def _show(self, session: GallerySession, wanted: list[Pair]) -> None:
         matches = self._matches
-        self._idle_until = time.monotonic() + _AGAIN  # unless the peer shows all that is wanted
+        self._ask_from = time.monotonic() + _AGAIN  # unless the peer shows something
         own = self._slots.known()
         true = {pair for pair in self._true if own.get(pair[0]) is not None}
         seen = matches.shown([slot for _, slot in wanted])
         _, shown = show(session, wanted, true, seen, self._own_keyframe, self._capacity)
         matches.show(shown.items())
         if shown:
-            self._idle_until = 0.0
+            self._ask_from = 0.0
             self._judge()
 
     def _own_keyframe(self, slot: int) -> Keyframe:
