@@ -84,7 +84,7 @@ def test_what_was_not_read_before_a_restart_comes_after_it(tmp_path: Path) -> No
         feed(bob, 0, a)
         until(lambda: len(found(alice, "verified")) == len(found(bob, "verified")) == 2)
         seen = next(bob.matches(0.0))
-        bob.stop()
+        bob.close()
         with bobs(mission, alice) as again:
             rest = list(again.matches(0.0))
     assert seen.number == 1 and [match.number for match in rest] == [1, 2, 3, 4]
