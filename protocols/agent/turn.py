@@ -174,6 +174,8 @@ class Turns:
         self._peer.matches.spend(len(news))
         for one in news:
             self._desk.hub.tell(Event.of(one))
+        if news:
+            self._judge()  # both halves may have been shown for other matches
 
     def _reconcile(self, session: GallerySession) -> None:
         """Find out which keyframes are in which slots, by what the ledger holds."""
@@ -210,8 +212,8 @@ class Turns:
         trusted = matches.trust(true, self._desk.strikes)
         seen = matches.shown([slot for _, slot in wanted])
         shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity)
-        matches.show(shown.items())
         if shown:
+            matches.show(shown.items())
             self._ask_from = 0.0
             self._judge()
 
