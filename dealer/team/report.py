@@ -38,8 +38,8 @@ def as_text(mission: Mission, cost: Forecast) -> Iterator[str]:
         yield f"  {one.name}: {terms.rule}; a slot has {terms.dim:,} numbers"
         yield (
             f"    at most {rows:,} x {columns:,} slots for a pair of robots: each stores "
-            f"{in_bytes(max(largest.tape_bytes))} ({largest.pair_tape_bytes:,} bytes a pair of slots) and sends "
-            f"{in_bytes(max(largest.bytes_sent))}"
+            f"{in_bytes(max(largest.tape_bytes))} ({largest.pair_tape_bytes:,} bytes a pair of slots) and "
+            f"sends {in_bytes(max(largest.bytes_sent))}"
         )
     yield _row("robot", "peers", "tapes", "sends", "memory", "matching")
     shown = cost.robots if len(cost.robots) <= _FEW else _extremes(cost.robots)
