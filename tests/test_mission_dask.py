@@ -23,7 +23,7 @@ distributed = pytest.importorskip("distributed")
 TEAM = """\
 agents = [{ name = "alice" }, { name = "bob" }, { name = "carol" }]
 [descriptors]
-lidar = { score = "S10", dim = 6, threshold = 0.5, keyframes = 300 }
+lidar = { score = "S10", dim = 6, threshold = 0.5, keyframes = 150 }
 camera = { score = "S10", dim = 4, threshold = 0.5, keyframes = 6, turns = 2 }
 """
 
@@ -60,7 +60,8 @@ def running(tmp_path_factory):
         yield SimpleNamespace(local=local, where=where)
 
 
-def test_a_worker_that_is_killed_in_the_middle_changes_nothing_but_the_time(tmp_path, running):
+def test_a_worker_that_is_killed_in_the_middle_changes_nothing_but_the_time(tmp_path, running, monkeypatch):
+    monkeypatch.setattr(clusters, "POLL_SECONDS", 0.02)
     mission, out = plan(tmp_path, TEAM), tmp_path / "m"
     killed, seen = [], {}
 
