@@ -29,7 +29,14 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 WITH_EXAMPLES = [ROOT / "README.md", *(ROOT / "docs" / f"{p}.md" for p in ("tutorial", "how-to", "scores"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FOREIGN_OPTIONS = {"--help", "--version"}
+FOREIGN_OPTIONS = {
+    "--help",
+    "--version",
+    "--protocol",
+    "--tls-ca-file",
+    "--nthreads",
+    "--nworkers",
+}  # of Dask
 ERRORS = [key for key, item in vars(errors).items() if isinstance(item, type)]
 
 

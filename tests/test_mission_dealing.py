@@ -204,13 +204,16 @@ def until(condition, seconds=20):
 def busy(tmp_path):
     """A dealer with two processes that would deal for a while, and which these are."""
     plan(tmp_path, LARGE)
-    process = run_python(DEAL, tmp_path, 2)
+    process = run_python(DEAL, tmp_path, 2, start_new_session=True)
     work = tmp_path / "m" / ROOM / "work"
     until(lambda: process.poll() is not None or (work.is_dir() and len(list(work.rglob("*.partial"))) == 4))
     workers = [pid for pid in children(process.pid) if "spawn_main" in command_line(pid)]
     assert len(workers) == 2, process.communicate()
     yield process, workers, work
     process.kill()
+    for pid in workers:
+        if "spawn_main" in command_line(pid):  # it should have ended by now
+            os.kill(pid, signal.SIGKILL)
     process.communicate()
 
 
@@ -241,9 +244,9 @@ def test_a_process_that_dies_stops_the_dealer_with_a_sentence_and_leaves_no_half
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are found in /proc")
 def test_ctrl_c_ends_the_dealer_at_once_and_leaves_no_half_dealt_pair(busy):
     process, workers, work = busy
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, told = process.communicate(timeout=30)
-    assert told.rstrip().endswith("KeyboardInterrupt")
+    assert told.rstrip().endswith("KeyboardInterrupt") and told.count("Traceback") == 1
     assert list(work.iterdir()) == []
     assert not any("spawn_main" in command_line(pid) for pid in workers)
 
