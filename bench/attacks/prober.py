@@ -115,8 +115,10 @@ class Prior:
         gain = across @ np.linalg.pinv(axes.T @ across, rcond=1e-9)
         mean = self.mean + gain @ (values - axes.T @ self.mean)
         mean = mean + axes @ (values - axes.T @ mean)
-        rest = np.eye(len(mean)) - axes @ axes.T
-        left = rest @ (self.covariance - gain @ across.T) @ rest
+        left = self.covariance - gain @ across.T
+        # What rounding leaves along the axes is taken out on both sides, without a product of two matrices.
+        left = left - axes @ (axes.T @ left)
+        left = left - (left @ axes) @ axes.T
         return Prior(mean, (left + left.T) / 2)
 
 
