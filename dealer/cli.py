@@ -24,10 +24,13 @@ from dealer.plan import (
     with_dealing_seconds,
 )
 from dealer.report import Wanted
+from dealer.team import cli as team
+from dealer.team.options import settle
 from protocols.catalog import Purpose
 from spdz.arithmetic.fixed_point import MAX_NORM
-from spdz.console.command import run_command, say_error, wants_json
+from spdz.console.command import FAILED, run_command, say_error, wants_json
 from spdz.console.progress import progress_bar
+from spdz.foundations.errors import SpdzError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -39,8 +42,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: Sequence[str]) -> int:
     arguments = parser()
     options = arguments.parse_args(words)
+    if (wrong := settle(options)) is not None:
+        arguments.error(wrong)
     if options.out is None and not options.plan:
         arguments.error("say where to write with --out DIR, or ask for a --plan")
+    if options.mission is not None:
+        return _deal_plan(options)
     if (wrong := misplaced(options)) is not None:
         arguments.error(wrong)
     if options.meetings is not None and options.maps is None:
@@ -69,6 +76,18 @@ def _run(words: Sequence[str]) -> int:
     except (ValueError, OSError) as error:
         say_error(NAME, type(error).__name__, _sentence(error), as_json=options.json)
         return 2
+    return 0
+
+
+def _deal_plan(options: argparse.Namespace) -> int:
+    try:
+        team.run(options)
+    except (ValueError, OSError) as error:
+        say_error(NAME, type(error).__name__, _sentence(error), as_json=options.json)
+        return 2
+    except SpdzError as error:
+        say_error(NAME, type(error).__name__, str(error), as_json=options.json)
+        return FAILED
     return 0
 
 

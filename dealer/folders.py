@@ -47,7 +47,7 @@ def mission_folders(out: Path, agents: Sequence[str], needed: int, remedy: str) 
     authority = MissionAuthority()
     credentials = {agent: authority.credentials(agent) for agent in agents}
     authority.forget()
-    _check_disk(out, needed, remedy)
+    check_disk(out, needed, remedy)
     for agent in agents:
         if (out / agent).exists():
             raise FileExistsError(
@@ -82,7 +82,13 @@ def sizes(out: Path, agents: Sequence[str]) -> dict[Path, int]:
     return {out / agent: sum(file.stat().st_size for file in (out / agent).iterdir()) for agent in agents}
 
 
-def _check_disk(out: Path, needed: int, remedy: str) -> None:
+def check_disk(out: Path, needed: int, remedy: str) -> None:
+    """Refuse what the disk under a folder, which need not be there yet, has no room for.
+
+    Raises:
+        ValueError: naming the need, what is free, and the remedy.
+        NotADirectoryError: if a file is in the way.
+    """
     there = next(path for path in (out.absolute(), *out.absolute().parents) if os.path.lexists(path))
     if not there.is_dir():
         raise NotADirectoryError(f"{there} is not a folder: choose a folder, or a new name, for --out")

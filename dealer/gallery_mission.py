@@ -10,7 +10,7 @@ from pathlib import Path
 from dealer.folders import check_agents, mission_folders, sizes, tape_paths
 from dealer.gallery import deal_gallery, gallery_headers
 from dealer.gallery_limits import check_memory, check_plan
-from protocols.catalog import GalleryPurpose
+from protocols.place_purpose import AnyPurpose
 from spdz.foundations.types import Security
 from spdz.gallery.format import GalleryHeader, gallery_bytes
 from spdz.readings.gallery_plan import measure_gallery
@@ -36,7 +36,7 @@ class DealtGalleries:
 def deal_galleries(
     out: Path,
     agents: Sequence[str],
-    purpose: GalleryPurpose,
+    purpose: AnyPurpose,
     slots: tuple[int, int],
     security: Security = "malicious",
     *,
@@ -47,7 +47,7 @@ def deal_galleries(
     Args:
         out: Folder to create the robots' folders in; those must not exist yet.
         agents: Two or more robot names.
-        purpose: What the galleries are for.
+        purpose: What the galleries are for: one descriptor a slot, or places of several.
         slots: Descriptors of a pair's first and of its second robot.
         security: The security model.
         progress: Called with pairs of descriptors dealt and in all.
@@ -85,7 +85,7 @@ def deal_galleries(
 
 
 def headers_for(
-    agents: tuple[str, str], purpose: GalleryPurpose, slots: tuple[int, int], security: Security
+    agents: tuple[str, str], purpose: AnyPurpose, slots: tuple[int, int], security: Security
 ) -> tuple[GalleryHeader, GalleryHeader]:
     """Both headers as they will be, but for the tapes' ids.
 
@@ -101,7 +101,7 @@ def headers_for(
 
 
 def gallery_mission_bytes(
-    agents: Sequence[str], purpose: GalleryPurpose, slots: tuple[int, int], security: Security
+    agents: Sequence[str], purpose: AnyPurpose, slots: tuple[int, int], security: Security
 ) -> int:
     """What all tapes of a mission will take on the disk, exactly; arguments as for :func:`deal_galleries`."""
     return sum(

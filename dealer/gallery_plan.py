@@ -20,13 +20,13 @@ from dealer.gallery_limits import gallery_memory, pairs_together
 from dealer.gallery_mission import headers_for
 from dealer.gallery_trial import Couple
 from dealer.randomness import random_mac_key
-from protocols.catalog import GalleryPurpose
-from spdz.arithmetic.fixed_point import encode
+from protocols.place_purpose import AnyPurpose
 from spdz.foundations.errors import Unsent
 from spdz.foundations.types import IntArray, Security
 from spdz.gallery.format import TAG, GalleryHeader, gallery_bytes
 from spdz.readings.gallery import Terms
 from spdz.readings.gallery_plan import GalleryPlan, measure_gallery
+from spdz.readings.sections import cuts, encode_sections
 from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.values.input_mask import element_bytes
 
@@ -34,7 +34,6 @@ _TRIAL_BYTES = 16 << 20
 """Most stored bytes of the pairs that are dealt for timing, unless one tile has more."""
 _TRIAL_BANDS = 8
 _TRIAL_SECONDS = 0.5
-_BIT = 1 / 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +122,7 @@ class GalleryCost:
 
 def gallery_cost(
     agents: tuple[str, str],
-    purpose: GalleryPurpose,
+    purpose: AnyPurpose,
     slots: tuple[int, int],
     security: Security,
     *,
@@ -137,14 +136,14 @@ def gallery_cost(
     terms = purpose.dealt_terms(security)
     plan = measure_gallery(terms)
     headers = headers_for(agents, purpose, slots, security)
-    bit = _BIT if terms.proves else 0.0
     own, peer, stored = [], [], []
     for owner, slot in enumerate(plan.slots):
         words = purpose.dim * element_bytes(terms.word_bits)
-        own.append(words + ELEMENT_BYTES * slot.elements_sent[owner] + bit)
-        peer.append(ELEMENT_BYTES * slot.elements_sent[1 - owner] + bit)
+        bits = slot.bits_sent / 8
+        own.append(words + ELEMENT_BYTES * slot.elements_sent[owner] + bits)
+        peer.append(ELEMENT_BYTES * slot.elements_sent[1 - owner] + bits)
         stored.append(max(slot.correction_bytes) + TAG)
-    pair = tuple(ELEMENT_BYTES * sent + (_BIT if plan.bits else 0.0) for sent in plan.pair.elements_sent)
+    pair = tuple(ELEMENT_BYTES * sent + plan.pair.bits_sent / 8 for sent in plan.pair.elements_sent)
     first, second = (
         slots[i] * own[i] + slots[1 - i] * peer[1 - i] + slots[0] * slots[1] * pair[i] for i in (0, 1)
     )
@@ -160,8 +159,8 @@ def gallery_cost(
         pair_bytes=max(pair),
         bytes_sent=(first, second),
         rounds=(max(slot.rounds for slot in plan.slots), plan.pair.rounds),
-        slots_lost=any(slot.openings > 1 for slot in plan.slots),
-        pairs_lost=plan.pair.openings > 1,
+        slots_lost=not all(slot.repeatable for slot in plan.slots),
+        pairs_lost=not plan.pair.repeatable,
         pairs_together=pairs_together(headers[0]),
         dealing_memory=dealing,
         matching_memory=matching,
@@ -236,5 +235,7 @@ def _trial_headers(
 def _vectors(terms: Terms, count: int) -> IntArray:
     """Vectors of the largest norm."""
     vectors = np.random.default_rng(count).standard_normal((count, terms.dim))
-    vectors *= terms.program.max_norm * (1 - 2.0**-30) / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return encode(vectors, max_norm=terms.program.max_norm)
+    for section, cut in zip(terms.sections, cuts(terms.sections), strict=True):
+        norms = np.linalg.norm(vectors[:, cut], axis=1, keepdims=True)
+        vectors[:, cut] *= section.max_norm * (1 - 2.0**-30) / norms
+    return encode_sections(terms.sections, vectors)

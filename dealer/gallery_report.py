@@ -11,6 +11,7 @@ from dealer.gallery_plan import GalleryCost
 from dealer.plan import in_seconds
 from protocols.catalog import GalleryPurpose
 from protocols.memory import in_bytes
+from protocols.place_purpose import AnyPurpose
 from spdz.foundations.types import Security
 from spdz.session.meeting import PREPARED
 
@@ -26,7 +27,7 @@ def enough_for(agents: Sequence[str], slots: tuple[int, int]) -> str:
     return f"enough for {', '.join(couples)} descriptors{more}, over as many meetings as it takes"
 
 
-def as_json(cost: GalleryCost, purpose: GalleryPurpose, security: Security, total: int) -> str:
+def as_json(cost: GalleryCost, purpose: AnyPurpose, security: Security, total: int) -> str:
     """One object."""
     fields = {**purpose.as_json(), "security": security, **asdict(cost), "mission_bytes": total}
     for name in ("dealing_seconds", "matching_seconds"):
@@ -39,14 +40,10 @@ def as_json(cost: GalleryCost, purpose: GalleryPurpose, security: Security, tota
 
 
 def as_text(
-    cost: GalleryCost, purpose: GalleryPurpose, security: Security, agents: Sequence[str], total: int
+    cost: GalleryCost, purpose: AnyPurpose, security: Security, agents: Sequence[str], total: int
 ) -> Iterator[str]:
     """A table, and what its rows mean; ``total`` is what all robots' tapes take."""
-    opened = f"the candidate bit ({_steps(purpose)})" if purpose.reveal == "bit" else "the score"
-    yield (
-        f"plan: a gallery of {purpose.score} of {purpose.dim}-D descriptors of norm {purpose.min_norm:g} to "
-        f"{purpose.max_norm:g}, {opened}, {security}; for a pair of robots"
-    )
+    yield f"plan: a gallery of {_what(purpose)}, {security}; for a pair of robots"
     yield _row("", "a descriptor", "a pair", f"all {cost.slots[0]}x{cost.slots[1]}", "one more")
     sent = max(cost.one_more(0)[0], cost.one_more(1)[0])
     yield _row(
@@ -114,8 +111,13 @@ def _rounds(cost: GalleryCost) -> str:
     )
 
 
-def _steps(purpose: GalleryPurpose) -> str:
-    return "exact" if purpose.resolution is None else f"to {purpose.step_text}"
+def _what(purpose: AnyPurpose) -> str:
+    step = "exact" if purpose.resolution is None else f"to {purpose.step_text}"
+    if not isinstance(purpose, GalleryPurpose):
+        return f"{purpose.summary} ({step})"
+    opened = f"the candidate bit ({step})" if purpose.reveal == "bit" else "the score"
+    norms = f"norm {purpose.min_norm:g} to {purpose.max_norm:g}"
+    return f"{purpose.score} of {purpose.dim}-D descriptors of {norms}, {opened}"
 
 
 def _row(*cells: str) -> str:

@@ -71,7 +71,7 @@ class Couple:
             raise ValueError("the owner of a slot has its mask")
         s = input_mask.field_offsets(own)
         words = data + s
-        if not input_mask.inside(words, terms.word_bits, terms.norm).all():
+        if not input_mask.inside(words, terms.word_bits, terms.entry).all():
             raise Unsent("the mask of a slot does not suit its vector: deal anew")
         slots = []
         for party, (_, mac) in zip(parties, masks, strict=True):

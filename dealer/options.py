@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from dealer.team.options import add_mission
 from protocols.catalog import parse_resolution
 from protocols.scores import SCORES
 from spdz.console.command import CommandParser
@@ -14,8 +15,18 @@ from spdz.version import __version__
 NAME = "python -m spdz.dealer"
 SPARE = 3  # interruptions that maps are dealt for unless the user says otherwise
 
+_USAGE = """\
+%(prog)s mission.toml (--out DIR | --plan)
+       [--workers N | --scheduler ADDRESS [--tls-ca FILE --tls-cert FILE --tls-key FILE]]
+   or: %(prog)s --agents NAME NAME ... --score S --dim N (--slots RxC | --maps MxK | --count C)
+       (--out DIR | --plan) [options]"""
+
 _EPILOG = """\
 examples:
+  a team, from a plan (docs/how-to.md): what it takes, and deal it; the same command goes on after a stop:
+    python -m spdz.dealer mission.toml --plan
+    python -m spdz.dealer mission.toml --out mission/
+
   100 comparisons of 1536-dimensional unit descriptors between two robots:
     python -m spdz.dealer --agents alice bob --score S10 --dim 1536 --count 100 --max-norm 1 --out mission/
 
@@ -86,22 +97,23 @@ def parser() -> argparse.ArgumentParser:
     """The arguments of ``python -m spdz.dealer``."""
     arguments = CommandParser(
         prog=NAME,
+        usage=_USAGE,
         description="Deal what robots need to compare descriptors privately on a mission: one folder a "
         "robot, with a tape of one-time correlations for every other robot and a certificate.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    add_mission(arguments)
     add = arguments.add_argument
     add(
         "--agents",
         nargs="+",
-        required=True,
         metavar="NAME",
         help="two or more robots; every pair is dealt; the one that is named earlier is the pair's first",
     )
-    add("--score", type=score, required=True, metavar="S", help="score function, S1 to S10 (see below)")
-    add("--dim", type=int, required=True, metavar="N", help="length of a descriptor")
-    amount = arguments.add_mutually_exclusive_group(required=True)
+    add("--score", type=score, metavar="S", help="score function, S1 to S10 (see below)")
+    add("--dim", type=int, metavar="N", help="length of a descriptor")
+    amount = arguments.add_mutually_exclusive_group()
     amount.add_argument("--count", type=int, metavar="C", help="comparisons for every pair of robots")
     amount.add_argument(
         "--maps",
@@ -131,14 +143,12 @@ def parser() -> argparse.ArgumentParser:
     add(
         "--security",
         choices=("malicious", "semi-honest"),
-        default="malicious",
         help="malicious (default): a robot that deviates is caught; semi-honest: robots that follow the "
         "protocol learn nothing, one that deviates can falsify results",
     )
     add(
         "--reveal",
         choices=("bit", "score"),
-        default="bit",
         help="what a comparison tells both robots: whether it is past a threshold (default), or the score",
     )
     add(

@@ -5,6 +5,18 @@ from protocols.candidate import is_candidate
 from protocols.gallery import Gallery
 from protocols.matcher import Matcher
 from protocols.matching import match
+from protocols.place_purpose import Part, PlacePurpose
 from protocols.scores import SCORES, Score
 
-__all__ = ["SCORES", "Block", "Gallery", "Matcher", "Matches", "Score", "is_candidate", "match"]
+__all__ = [
+    "SCORES",
+    "Block",
+    "Gallery",
+    "Matcher",
+    "Matches",
+    "Part",
+    "PlacePurpose",
+    "Score",
+    "is_candidate",
+    "match",
+]

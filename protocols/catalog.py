@@ -167,6 +167,12 @@ class GalleryPurpose(Question):
         Raises:
             ValueError: if the tape was dealt for something else.
         """
+        if "place" in header:
+            raise ValueError(
+                "this gallery holds places of several descriptors, each with a threshold: run it with "
+                "`python -m spdz agent`, or with protocols.Gallery(tape, terms=purpose.terms(thresholds, "
+                "security)), purpose being protocols.PlacePurpose.from_json(header.program)"
+            )
         if not {"score", "dim", "reveal", "max_norm", "resolution", "min_norm", "norm_proof"} <= set(header):
             raise ValueError(
                 "this gallery was dealt for a program of your own, not for one of the ten scores: meet with "

@@ -64,7 +64,7 @@ class GalleryContents(Reconnecting[GallerySession]):
     @property
     def rule(self) -> str:
         """What is decided, for people: ``S10 >= 0.8, to 2^-16``."""
-        return "a program of your own" if self._purpose is None else self._purpose.rule(self._threshold)
+        return self._terms.rule if self._purpose is None else self._purpose.rule(self._threshold)
 
     @property
     def room(self) -> int:

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from protocols.catalog import GalleryPurpose
 from protocols.memory import in_bytes
+from protocols.place_purpose import AnyPurpose, purpose_of
 from spdz.gallery import GalleryHeader
 from spdz.gallery.status import GalleryStatus
 
@@ -73,10 +73,10 @@ def printable(lines: Iterable[str]) -> str:
     return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
 
 
-def _purpose(header: GalleryHeader) -> GalleryPurpose | None:
-    """What the dealer's command dealt the gallery for; None for programs of the user's own."""
+def _purpose(header: GalleryHeader) -> AnyPurpose | None:
+    """What a gallery of ours was dealt for; None for programs of the user's own."""
     try:
-        return GalleryPurpose.from_json(header.program)
+        return purpose_of(header.program)
     except (KeyError, TypeError, ValueError, OverflowError):
         return None
 
@@ -100,7 +100,7 @@ def _pairs(status: GalleryStatus) -> str:
     return f"{used}, {status.burnt} of them given up without a result" if status.burnt else used
 
 
-def _answers(status: GalleryStatus, purpose: GalleryPurpose | None) -> str:
+def _answers(status: GalleryStatus, purpose: AnyPurpose | None) -> str:
     if status.pinned:
         return f"{status.pinned}, and never anything else"
     if purpose is not None and purpose.reveal == "score":

@@ -32,6 +32,7 @@ from spdz.gates import (
     absolute,
     beaver_dot,
     beaver_multiply,
+    decided,
     dot,
     largest,
     mask,
@@ -48,6 +49,7 @@ from spdz.readings.program import Program
 from spdz.readings.stock import Stock
 from spdz.rounds.coroutine import parallel
 from spdz.session import Result, Session, open_session
+from spdz.values.columns import columns
 from spdz.values.engine import Engine
 from spdz.values.value import Value
 from spdz.version import __version__
@@ -82,6 +84,8 @@ __all__ = [
     "absolute",
     "beaver_dot",
     "beaver_multiply",
+    "columns",
+    "decided",
     "divide",
     "dot",
     "l1_normalised",

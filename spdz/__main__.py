@@ -19,7 +19,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The arguments of every command."""
     from bench.demo.cli import add_demo
+    from protocols.agent.cli import add_agent
+    from protocols.check.cli import add_check
     from protocols.cli import add_match
+    from protocols.stacks.cli import add_replay, add_ros
     from protocols.tape_cli import add_tape
 
     arguments: argparse.ArgumentParser = CommandParser(
@@ -29,7 +32,11 @@ def parser() -> argparse.ArgumentParser:
     )
     commands = arguments.add_subparsers(required=True, metavar="COMMAND")
     add_match(commands)
+    add_agent(commands)
+    add_ros(commands)
+    add_replay(commands)
     add_tape(commands)
+    add_check(commands)
     add_demo(commands)
     arguments.add_argument("--version", action="version", version=f"spdz {__version__}")
     return arguments

@@ -3,6 +3,7 @@
 import pytest
 from channel_helpers import folders, pair  # noqa: F401  # fixtures
 from gallery_session_helpers import galleries, no_sync  # noqa: F401
+from port_helpers import open_port  # noqa: F401
 
 
 @pytest.fixture(autouse=True)

@@ -7,11 +7,11 @@ import numpy as np
 
 from dealer.gallery import deal_gallery
 from dealer.gallery_trial import Both, Couple, Streams
-from spdz.arithmetic.fixed_point import encode
 from spdz.foundations.errors import Unsent
 from spdz.gallery import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.records import slot_stream
+from spdz.readings.sections import encode_sections
 from spdz.session.pairs import read_pairs
 
 DELTA = 16  # bytes of a slot's pad that are its Delta
@@ -42,10 +42,12 @@ class TwoTapes:
 
     def fill(self, owner: int, vectors: np.ndarray, start: int = 0) -> Both:
         """Fill slots from ``start`` on; all norms must be proved."""
-        data = encode(vectors, max_norm=self.terms.program.max_norm)
+        data = encode_sections(self.terms.sections, vectors)
         numbers = range(start, start + len(data))
         slots, proved = self.couple.fill(owner, data, self.slot_streams(owner, numbers))
-        assert proved is None if not self.terms.proves else proved.shape == (len(data),)
+        assert (
+            proved is None if not self.terms.proves else proved.shape == (len(data), len(self.terms.sections))
+        )
         if proved is not None and not proved.all():
             raise AssertionError(f"{proved} of the norms are proved")
         return slots

@@ -14,8 +14,20 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PACKAGES = ("spdz", "protocols", "dealer", "bench")
 DOORS = {"spdz.__main__", "spdz.dealer", "spdz.local"}
-BASE_DEPENDENCIES = {"numpy", "gmpy2", "cryptography", "threadpoolctl"}
-OPTIONAL = {"rich", "scipy", "gtsam"}
+BASE_DEPENDENCIES = {"numpy", "gmpy2", "cryptography", "threadpoolctl", "tomli"}
+OPTIONAL = {
+    "cyclonedds",
+    "distributed",
+    "gtsam",
+    "ifaddr",
+    "matplotlib",
+    "rich",
+    "rosbags",
+    "scipy",
+    "zenoh",
+    "zeroconf",
+}
+"""Loaded inside functions only, outside of ``bench``."""
 LONGEST_FILE = 320
 
 

@@ -77,7 +77,7 @@ def assert_hears(channel, sent_before):
 def test_an_unknown_abort_reason_is_a_violation(pair):
     a, b = pair()
     send_raw(b, header(1, kind=FrameKind.ABORT) + b"\xff")
-    with pytest.raises(ProtocolViolation, match="abort reason: expected 1 to 9, the peer sent 255"):
+    with pytest.raises(ProtocolViolation, match="abort reason: expected 1 to 11, the peer sent 255"):
         a.exchange(DATA, [], 100)
 
 

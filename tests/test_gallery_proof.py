@@ -54,7 +54,7 @@ def test_a_vector_of_another_norm_is_refused_by_name(galleries, evil, how):
 @pytest.mark.parametrize("evil", [0, 1])
 def test_honest_vectors_at_the_edge_pass(galleries, evil):
     terms = Terms(Product(), DIM, min_norm=0.5)
-    least, most = terms.squares
+    ((least, most),) = terms.squares
     root = int(np.sqrt(float(least)))
     for square, raw in ((most, [terms.norm, 0, 0, 0]), (least, [root, 0, 0, 0])):
         assert sum(number**2 for number in raw) == square
@@ -141,4 +141,4 @@ def test_quantised_refuses_what_the_proof_would_refuse():
             raw = quantised(terms, vector[None])
         except ValueError:
             continue
-        assert terms.squares[0] <= (raw.astype(object) ** 2).sum() <= terms.squares[1]
+        assert terms.squares[0][0] <= (raw.astype(object) ** 2).sum() <= terms.squares[0][1]

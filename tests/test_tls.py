@@ -26,7 +26,7 @@ from dealer.pki import MissionAuthority, write_credentials
 from spdz.channels import tcp, tls
 from spdz.channels.frames import DType, FrameReader
 from spdz.channels.reception import MAX_HANDSHAKES, Reception
-from spdz.channels.socket_channel import _lost
+from spdz.channels.socket_channel import lost
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted
 
 
@@ -253,5 +253,5 @@ def test_a_damaged_line_may_pass_and_a_refused_certificate_does_not(reason, pass
     error = ssl.SSLError(1, reason)
     error.reason = reason
     reader = FrameReader(CONTROL, DType.BYTES, 0, 0, None, 100)
-    assert _lost(error, reader).passing is passing
-    assert ("certificate" in str(_lost(error, reader))) is not passing
+    assert lost(error, reader).passing is passing
+    assert ("certificate" in str(lost(error, reader))) is not passing

@@ -51,6 +51,7 @@ def patiently(
     give_up: Callable[[NotYet], ChannelError],
     teller: Teller,
     what: str,
+    stop: threading.Event | None = None,
 ) -> T:
     """Repeat an attempt while it fails with :class:`NotYet`.
 
@@ -60,12 +61,13 @@ def patiently(
         give_up: Makes the error that is raised then from that of the last attempt.
         teller: Is told why an attempt failed that is made again.
         what: What does not work if an attempt fails and does not say it.
+        stop: No further attempt begins once it is set.
     """
     while True:
         try:
             return attempt()
         except NotYet as error:
-            if time.monotonic() + RETRY_SECONDS >= deadline:
+            if time.monotonic() + RETRY_SECONDS >= deadline or (stop is not None and stop.is_set()):
                 raise give_up(error) from error
             teller.not_yet(error.told(what), deadline)
         time.sleep(RETRY_SECONDS)

@@ -106,13 +106,7 @@ class Channel(ABC):
             ChannelClosed: if the peer hung up, or the channel is dead or closed.
             ChannelError: in another process than the one that made the channel.
         """
-        if self._is_a_copy:
-            raise ChannelError(
-                "this channel belongs to the process that made it, and this process is a fork of it: "
-                "connect after the fork"
-            )
-        if self._death is not None:
-            raise ChannelClosed(self._death)
+        self._require_usable()
         views = byte_views(payload)
         size = sum(map(len, views))
         self._check_request(kind, size, expect)
@@ -121,13 +115,8 @@ class Channel(ABC):
         reader = FrameReader(kind, dtype, self._session, round_, expect, self._max_control)
         try:
             self._swap([memoryview(header), *views], reader, time.monotonic() + self._timeout)
-        except SpdzError as error:
-            self._die(f"this channel failed before: {error}")
-            if isinstance(error, PeerAborted):  # nothing is left to say, and the peer waits for the end
-                self.close()
-            raise
-        except BaseException:  # e.g. KeyboardInterrupt: half a frame may be out
-            self._die("an exchange on this channel was interrupted")
+        except BaseException as error:
+            self._die_of(error)
             raise
         if kind == FrameKind.CONTROL:
             self.control_rounds += 1
@@ -136,6 +125,30 @@ class Channel(ABC):
         self.bytes_sent += HEADER_BYTES + size
         self.bytes_received += reader.received
         return reader.payload()
+
+    def await_frame(self, seconds: float, wake: int | None = None) -> bool:
+        """Wait between two exchanges until the peer has begun the next; nothing is consumed.
+
+        Args:
+            seconds: How long at most; 0 only looks.
+            wake: A file descriptor; the wait ends as soon as it can be read from.
+
+        Returns:
+            Whether bytes of the peer's are there. What TLS sends on its own behalf does not count.
+
+        Raises:
+            ValueError: as :func:`check_wait`; the channel lives.
+            ProtocolViolation: if the peer keeps TLS busy and says nothing.
+            ChannelClosed: if the peer hung up, or the channel is dead or closed.
+            ChannelError: if the network failed, or as :meth:`exchange`.
+        """
+        check_wait(seconds, wake)
+        self._require_usable()
+        try:
+            return self._await(time.monotonic() + seconds, wake)
+        except BaseException as error:
+            self._die_of(error)
+            raise
 
     def abort(self, reason: AbortReason) -> None:
         """Tell the peer why this side stops, if that can be done within a second, and close.
@@ -172,6 +185,23 @@ class Channel(ABC):
     def _is_a_copy(self) -> bool:
         return os.getpid() != self._process
 
+    def _require_usable(self) -> None:
+        if self._is_a_copy:
+            raise ChannelError(
+                "this channel belongs to the process that made it, and this process is a fork of it: "
+                "connect after the fork"
+            )
+        if self._death is not None:
+            raise ChannelClosed(self._death)
+
+    def _die_of(self, error: BaseException) -> None:
+        if not isinstance(error, SpdzError):  # e.g. KeyboardInterrupt: half a frame may be out
+            self._die("an exchange on this channel was interrupted")
+            return
+        self._die(f"this channel failed before: {error}")
+        if isinstance(error, PeerAborted):  # nothing is left to say, and the peer waits for the end
+            self.close()
+
     def _die(self, why: str) -> None:
         self._death = self._death or why
 
@@ -203,6 +233,10 @@ class Channel(ABC):
         """
 
     @abstractmethod
+    def _await(self, deadline: float, wake: int | None) -> bool:
+        """Wait as :meth:`await_frame` until ``deadline``; what is read ahead is kept for :meth:`_swap`."""
+
+    @abstractmethod
     def _send_last(self, frame: bytes, deadline: float) -> None:
         """Try to deliver a last frame. May raise anything."""
 
@@ -225,6 +259,21 @@ def check_limits(timeout: float, max_frame: int) -> None:
         raise ValueError(f"timeout must be a positive number of seconds, not {timeout!r}")
     if not 1 <= max_frame <= MAX_FRAME:
         raise ValueError(f"max_frame must be 1 to {MAX_FRAME} bytes, not {max_frame!r}")
+
+
+def check_wait(seconds: float, wake: int | None) -> None:
+    """Refuse what :meth:`Channel.await_frame` cannot wait for.
+
+    Raises:
+        ValueError: unless ``seconds`` is a number from 0 on and ``wake``, if given, an open descriptor.
+    """
+    if not (seconds >= 0 and math.isfinite(seconds)):
+        raise ValueError(f"a wait takes a number of seconds from 0 on, not {seconds!r}")
+    if wake is not None:
+        try:
+            os.fstat(wake)
+        except (OSError, TypeError, OverflowError):
+            raise ValueError(f"wake must be an open file descriptor, not {wake!r}") from None
 
 
 def remaining(deadline: float, reader: FrameReader, seconds: float) -> float:

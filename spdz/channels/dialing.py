@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable
 from typing import TypeVar
@@ -23,6 +24,7 @@ def call(
     timeout: float,
     teller: Teller,
     establish: Callable[[socket.socket, float], T],
+    stop: threading.Event | None = None,
 ) -> T:
     """Connect and establish what is wanted over the connection, trying again for ``wait`` seconds.
 
@@ -38,6 +40,7 @@ def call(
         establish: Gets the connected socket, which it owns from then on, and the seconds that it may take.
             Raises :class:`NotYet` if it turns out that the peer is not behind it, and
             :class:`ChannelTimeout` if those seconds are over. Every other error ends the call.
+        stop: No further attempt begins once it is set.
 
     Raises:
         ValueError: if the address is malformed.
@@ -56,7 +59,7 @@ def call(
         targets = resolve(address, deadline - time.monotonic(), lambda why: teller.not_yet(why, deadline))
         return _try_each(targets, deadline, timeout, establish)
 
-    return patiently(attempt, deadline, give_up, teller, f"nobody answers at {address}")
+    return patiently(attempt, deadline, give_up, teller, f"nobody answers at {address}", stop)
 
 
 def _try_each(

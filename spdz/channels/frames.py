@@ -61,7 +61,7 @@ class FrameKind(IntEnum):
     CHECK = 2
     """A MAC check, which travels alone."""
     CONTROL = 3
-    """The handshake and agreements: JSON bytes, of a length that the sender chooses."""
+    """The handshake and agreements: JSON bytes, of a length that the sender chooses. A call's topic."""
     ABORT = 4
     """The sender stops; the payload is one :class:`AbortReason` byte."""
 
@@ -90,6 +90,8 @@ class AbortReason(IntEnum):
     WRONG_ROBOT = 7
     STOPPED = 8
     LOCAL_ERROR = 9
+    UNKNOWN_TOPIC = 10
+    REPLACED = 11
 
 
 _REASONS: tuple[tuple[type[BaseException], AbortReason], ...] = (
@@ -118,9 +120,13 @@ _SENTENCES = {
     AbortReason.WRONG_ROBOT: "it expects another robot than the one that this side's certificate names",
     AbortReason.STOPPED: "its user or its program stopped it",
     AbortReason.LOCAL_ERROR: "of an error of its own; see its own message",
+    AbortReason.UNKNOWN_TOPIC: "its plan lacks the topic of this call: another mission, another plan?",
+    AbortReason.REPLACED: "a newer call of the same robot about the same topic took the place of this one",
 }
 
-_PASSING = frozenset({AbortReason.TIMEOUT, AbortReason.STOPPED, AbortReason.LOCAL_ERROR})
+_PASSING = frozenset(
+    {AbortReason.TIMEOUT, AbortReason.STOPPED, AbortReason.LOCAL_ERROR, AbortReason.REPLACED}
+)
 """Reasons after which the peer may be back."""
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import select
+import time
 from queue import Empty, SimpleQueue
 
-from spdz.channels.base import DEFAULT_TIMEOUT, Channel, remaining
+from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
 from spdz.channels.frames import MAX_FRAME, FrameReader
 from spdz.foundations.errors import ChannelClosed
 
 Pipe = SimpleQueue[bytes | None]
 """Pieces of a byte stream, of any size; None is its end."""
+_LOOK_SECONDS = 0.01
+"""A queue cannot be polled together with a descriptor: it is looked at so often."""
 
 
 class MemoryChannel(Channel):
@@ -38,6 +42,24 @@ class MemoryChannel(Channel):
             reader.space[:count] = self._leftover[:count]
             self._leftover = self._leftover[count:]
             reader.advance(count)
+
+    def _await(self, deadline: float, wake: int | None) -> bool:
+        poll = select.poll()
+        if wake is not None:
+            poll.register(wake, select.POLLIN)
+        longest = LONGEST_SLEEP if wake is None else _LOOK_SECONDS
+        while not self._leftover:
+            left = max(0.0, deadline - time.monotonic())
+            try:
+                piece = self._incoming.get(timeout=min(left, longest))
+            except Empty:
+                if not left or poll.poll(0):
+                    return False
+                continue
+            if piece is None:
+                raise ChannelClosed("the peer closed the connection (between two frames)")
+            self._leftover = memoryview(piece)
+        return True
 
     def _send_last(self, frame: bytes, deadline: float) -> None:
         self._outgoing.put(frame)

@@ -1,17 +1,21 @@
-"""The callers of a listener, until one of them proves to be the peer.
+"""The callers of a listener, until one of them proves to be a peer.
 
 All of them are served at the same time, a little each, so that whoever connects and sends garbage, or
-nothing, neither ends the wait nor delays the peer.
+nothing, neither ends the wait nor delays a peer.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import select
 import socket
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from spdz.channels.addresses import RETRY_SECONDS, NotYet, patiently
 from spdz.channels.base import LONGEST_SLEEP
@@ -21,11 +25,12 @@ from spdz.channels.telling import Teller, in_seconds
 from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 MAX_HANDSHAKES = 32
-"""Security limit: callers that a listener has under way; one more, and the oldest is dropped."""
+"""Security limit: callers that a listener has under way; one more, and the oldest of the address that has the
+most of them is dropped."""
 
 
 class Caller(ABC):
-    """Somebody who connected and has yet to prove to be the peer.
+    """Somebody who connected and has yet to prove to be a peer.
 
     Args:
         stream: The connection.
@@ -41,11 +46,14 @@ class Caller(ABC):
 
     @abstractmethod
     def proceed(self) -> int:
-        """Go on; returns the poll events that it waits for, 0 once the caller proved to be the peer.
+        """Go on; returns the poll events that it waits for, 0 once the caller proved to be a peer.
 
         Raises:
             ChannelError: if the caller is refused, with the reason.
         """
+
+
+AnyCaller = TypeVar("AnyCaller", bound=Caller)
 
 
 def receive(
@@ -83,41 +91,63 @@ def receive(
     ):
         teller.tell(f"listening on {' and '.join(addresses_of(listener))} for {peer}")
         on_listening(address_of(listener))
-        stream = reception.wait_for_peer(deadline)
-        if stream is None:
+        caller = reception.next_peer(deadline)
+        if caller is None:
             raise reception.failure(f"{peer} did not connect within {in_seconds(wait)}", rite)
-        return stream
+        return caller.stream
 
 
-class Reception:
+@dataclass(frozen=True, slots=True)
+class _Visit(Generic[AnyCaller]):
+    """A caller that is under way, where it calls from, and when it has to be through."""
+
+    caller: AnyCaller
+    host: str
+    deadline: float
+
+
+class Reception(Generic[AnyCaller]):
     """The callers of a listener.
 
     Args:
         listener: Where they come from.
         admit: Makes a caller of a connection.
         teller: Is told who is refused, and when no connection can be taken.
+        patience: Seconds that a caller may take.
+        wake: Ends a wait as soon as it can be read.
     """
 
-    def __init__(self, listener: Listener, admit: Callable[[socket.socket], Caller], teller: Teller) -> None:
+    def __init__(
+        self,
+        listener: Listener,
+        admit: Callable[[socket.socket], AnyCaller],
+        teller: Teller,
+        patience: float = math.inf,
+        wake: socket.socket | None = None,
+    ) -> None:
         self._doors = {sock.fileno(): sock for sock in listener.sockets}
         self._admit_one = admit
         self._teller = teller
-        self._callers: dict[int, Caller] = {}  # by descriptor, the oldest first
+        self._patience = patience
+        self._wake = None if wake is None else wake.fileno()
+        self._visits: dict[int, _Visit[AnyCaller]] = {}  # by descriptor, the oldest first
         self._poll = select.poll()
         self._refused = 0
         self._last_refusal = ""
         self._no_room = ""
+        for descriptor in (*self._doors, *([] if self._wake is None else [self._wake])):
+            self._poll.register(descriptor, select.POLLIN)
 
-    def wait_for_peer(self, deadline: float) -> Stream | None:
-        """The peer's connection, or None if it did not come."""
-        for door in self._doors.values():
-            self._poll.register(door, select.POLLIN)
+    def next_peer(self, deadline: float) -> AnyCaller | None:
+        """The next caller that proves to be a peer; None if there is none before the deadline."""
         while (left := deadline - time.monotonic()) > 0:
-            for descriptor, _ in self._poll.poll(min(left, LONGEST_SLEEP) * 1000):
+            for descriptor, _ in self._poll.poll(min(left, self._until_late(), LONGEST_SLEEP) * 1000):
                 if descriptor in self._doors:
                     self._admit(self._doors[descriptor])
-                elif (caller := self._callers.get(descriptor)) is not None and self._proves(caller):
-                    return self._let_go(descriptor).stream
+                elif descriptor == self._wake:
+                    return None
+                elif (visit := self._visits.get(descriptor)) is not None and self._proves(visit.caller):
+                    return self._let_go(descriptor)
         return None
 
     def failure(self, what: str, rite: str) -> ChannelError:
@@ -128,14 +158,24 @@ class Reception:
             )
         if self._no_room:
             return ChannelTimeout(f"{what}: {self._no_room}")
-        if self._callers:
-            return ChannelTimeout(f"{what} ({len(self._callers)} connected without {rite})")
+        if self._visits:
+            return ChannelTimeout(f"{what} ({len(self._visits)} connected without {rite})")
         return ChannelTimeout(f"{what}: is it started with connect= (--connect) to this address?")
 
     def close(self) -> None:
         """Hang up on every caller that is left."""
-        for descriptor in list(self._callers):
+        for descriptor in list(self._visits):
             self._let_go(descriptor).stream.close()
+
+    def _until_late(self) -> float:
+        """Seconds until the next caller is late; refuses those that are."""
+        now = time.monotonic()
+        while self._visits:
+            visit = next(iter(self._visits.values()))
+            if visit.deadline > now:
+                return visit.deadline - now
+            self._refuse(visit.caller, f"it was not through within {in_seconds(self._patience)}")
+        return math.inf
 
     def _admit(self, door: socket.socket) -> None:
         try:
@@ -150,11 +190,17 @@ class Reception:
         if sock is None:
             return
         self._no_room = ""
+        host = _host(sock)
         caller = self._admit_one(sock)
-        if len(self._callers) >= MAX_HANDSHAKES:
-            self._let_go(next(iter(self._callers))).stream.close()
-        self._callers[caller.stream.fileno()] = caller
+        if len(self._visits) >= MAX_HANDSHAKES:
+            self._let_go(self._least_worth_waiting_for()).stream.close()
+        self._visits[caller.stream.fileno()] = _Visit(caller, host, time.monotonic() + self._patience)
         self._poll.register(caller.stream, select.POLLIN)
+
+    def _least_worth_waiting_for(self) -> int:
+        """The oldest caller of the address that has the most of them; of several such, the oldest of all."""
+        counts = Counter(visit.host for visit in self._visits.values())
+        return max(self._visits, key=lambda descriptor: counts[self._visits[descriptor].host])
 
     def _proves(self, caller: Caller) -> bool:
         """Go on with a caller; True once it is known to be the peer."""
@@ -173,6 +219,13 @@ class Reception:
         self._let_go(caller.stream.fileno()).stream.part(caller.farewell)
         self._teller.tell(f"refused a caller: {why}")
 
-    def _let_go(self, descriptor: int) -> Caller:
+    def _let_go(self, descriptor: int) -> AnyCaller:
         self._poll.unregister(descriptor)
-        return self._callers.pop(descriptor)
+        return self._visits.pop(descriptor).caller
+
+
+def _host(sock: socket.socket) -> str:
+    try:
+        return str(sock.getpeername()[0])
+    except OSError:  # gone again
+        return ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import time
 
-from spdz.channels.base import DEFAULT_TIMEOUT, Channel, remaining
+from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
 from spdz.channels.frames import MAX_FRAME, FrameReader, merge_small
 from spdz.channels.stream import Stream, describe, is_about_a_certificate
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
@@ -13,6 +13,7 @@ from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
 _SLICE = 256 << 10  # bytes offered to one send, so that both directions take turns
 _SPINS = 100
 """Looks at the socket, about 1 us each, before the process sleeps: waking up costs more than a round."""
+_BETWEEN = "between two frames"
 
 
 class SocketChannel(Channel):
@@ -30,11 +31,15 @@ class SocketChannel(Channel):
         self._poll = select.poll()
         self._in_frame = False  # whether part of a frame may be out
         self._send_error: OSError | None = None
+        self._ahead = b""  # the byte that was waited for
 
     def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
         pieces = list(merge_small(frame))[::-1]
         stream = self._stream
         self._in_frame = True
+        if self._ahead:
+            reader.space[:1], self._ahead = self._ahead, b""
+            reader.advance(1)
         sends = receives = True
         while True:
             # Read before polling: a TLS stream may hold bytes that poll does not see.
@@ -50,7 +55,31 @@ class SocketChannel(Channel):
                 if not any(self._poll.poll(0) for _ in range(_SPINS)):
                     self._poll.poll(seconds * 1000)
         if self._send_error is not None:
-            raise _lost(self._send_error, reader)
+            raise lost(self._send_error, reader.progress())
+
+    def _await(self, deadline: float, wake: int | None) -> bool:
+        stream, first, poll = self._stream, memoryview(bytearray(1)), select.poll()
+        if wake is not None:
+            poll.register(wake, select.POLLIN)
+        woken = False
+        while not self._ahead:
+            try:
+                count = stream.receive_into(first)
+                unsent = count is None and stream.backlog and not stream.flush()
+            except OSError as error:
+                raise lost(error, _BETWEEN) from error
+            if count == 0:
+                raise ChannelClosed(f"the peer closed the connection ({_BETWEEN})")
+            if count:
+                self._ahead = bytes(first)
+                break
+            left = deadline - time.monotonic()
+            if woken or left <= 0:
+                return False
+            poll.register(stream, select.POLLIN | unsent * select.POLLOUT)
+            ready = poll.poll(min(left, LONGEST_SLEEP) * 1000)
+            woken = any(descriptor == wake for descriptor, _ in ready)
+        return True
 
     def _send_some(self, pieces: list[memoryview]) -> bool:
         """Send from the last piece; returns whether there is more, and the stream may take it now."""
@@ -76,7 +105,7 @@ class SocketChannel(Channel):
         try:
             count = self._stream.receive_into(reader.space)
         except OSError as error:
-            raise _lost(error, reader) from error
+            raise lost(error, reader.progress()) from error
         if count is None:
             return False
         if count == 0:
@@ -112,14 +141,14 @@ class SocketChannel(Channel):
         self._stream.close()
 
 
-def _lost(error: OSError, reader: FrameReader) -> ChannelError:
+def lost(error: OSError, progress: str) -> ChannelError:
     """The error of a broken connection, in this package's terms."""
     if isinstance(error, TimeoutError):  # TCP itself gave up: ETIMEDOUT
-        return ChannelTimeout(f"the network does not reach the peer any more ({reader.progress()})")
+        return ChannelTimeout(f"the network does not reach the peer any more ({progress})")
     if is_about_a_certificate(error):
         return ChannelClosed(
             f"the peer refused this side's TLS connection or certificate ({error.reason}): are both robots' "
             "credentials from the same run of the dealer?",
             passing=False,
         )
-    return ChannelClosed(f"the connection broke: {describe(error)} ({reader.progress()})")
+    return ChannelClosed(f"the connection broke: {describe(error)} ({progress})")

@@ -6,13 +6,13 @@ is each reason, not each try: nobody who calls a listener can fill its log.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
 from decimal import Decimal
 
 _SAME_AGAIN = 5.0
-"""Seconds before a reason that takes turns with another one is told again."""
 _EVER = 1e9  # a wait may be infinite
 
 
@@ -30,15 +30,26 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
+def harmless(on_event: Callable[[str], None]) -> Callable[[str], None]:
+    """For a thread that serves others: what goes wrong with whoever is told is not its concern."""
+
+    def tell(sentence: str) -> None:
+        with contextlib.suppress(Exception):
+            on_event(sentence)
+
+    return tell
+
+
 class Teller:
     """Tells each reason once until another one takes its place.
 
     Args:
         on_event: Called with a sentence, without a period.
+        again: Seconds before a reason that takes turns with another one is told again.
     """
 
-    def __init__(self, on_event: Callable[[str], None]) -> None:
-        self._on_event = on_event
+    def __init__(self, on_event: Callable[[str], None], again: float = _SAME_AGAIN) -> None:
+        self._on_event, self._again = on_event, again
         self._last = ""
         self._told: dict[str, float] = {}  # reasons are few: the system's, OpenSSL's, the mission's names
 
@@ -50,7 +61,7 @@ class Teller:
             prospect: What is said behind it, and may differ from try to try.
         """
         now = time.monotonic()
-        if reason != self._last and now >= self._told.get(reason, -math.inf) + _SAME_AGAIN:
+        if reason != self._last and now >= self._told.get(reason, -math.inf) + self._again:
             self._last, self._told[reason] = reason, now
             self._on_event(printable(reason + prospect))
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import socket
 import ssl
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from spdz.channels.addresses import NotYet
@@ -71,7 +72,7 @@ def listen(
         wait,
         on_listening,
         Teller(on_event),
-        lambda sock: _TlsCaller(TlsStream(sock, context, server_side=True), peer),
+        lambda sock: TlsCaller(TlsStream(sock, context, server_side=True), [peer]),
         repr(peer),
         "a TLS handshake",
     )
@@ -110,18 +111,31 @@ def connect(
     """
     check_limits(timeout, max_frame)
     context = make_context(credentials, ssl.PROTOCOL_TLS_CLIENT)
+    return SocketChannel(reach(address, context, peer, wait, timeout, Teller(on_event)), timeout, max_frame)
+
+
+def reach(
+    address: str,
+    context: ssl.SSLContext,
+    peer: str,
+    wait: float,
+    timeout: float,
+    teller: Teller,
+    stop: threading.Event | None = None,
+) -> TlsStream:
+    """The connection of :func:`connect`, as a stream; no further attempt begins once ``stop`` is set."""
 
     def establish(sock: socket.socket, seconds: float) -> TlsStream:
         stream = TlsStream(sock, context, server_side=False)
         try:
             _shake_hands(stream, seconds)
-            require_name(stream, peer)
+            require_name(stream, [peer])
         except BaseException:
             stream.part(_WRONG_ROBOT)  # TLS lets it out only if the handshake is done
             raise
         return stream
 
-    return SocketChannel(call(address, wait, timeout, Teller(on_event), establish), timeout, max_frame)
+    return call(address, wait, timeout, teller, establish, stop)
 
 
 def make_context(credentials: Path, protocol: int) -> ssl.SSLContext:
@@ -161,17 +175,24 @@ def require_files(credentials: Path) -> None:
             raise ValueError(f"{credentials / name} is missing: give the folder that the dealer wrote")
 
 
-def require_name(stream: TlsStream, peer: str) -> None:
-    """Accept exactly one name in the peer's (already verified) certificate.
+def require_name(stream: TlsStream, peers: Collection[str]) -> str:
+    """Accept exactly one name in the other side's (already verified) certificate, one of the peers'.
+
+    Returns:
+        The name.
 
     Raises:
         ChannelError: if it is another robot's.
     """
     names = stream.certificate_names
-    if names != (("DNS", peer),):
-        found = ", ".join(str(entry[1]) for entry in names)
-        # repr() escapes what could move a terminal's cursor: the names come from the other side
-        raise ChannelError(f"expected the robot {peer!r}, but the certificate there is of {found[:80]!r}")
+    for peer in peers:
+        if names == (("DNS", peer),):
+            return peer
+    found = ", ".join(str(entry[1]) for entry in names)
+    whom = "the robot" if len(peers) == 1 else "one of the robots"
+    expected = f"{whom} {', '.join(map(repr, peers))}"
+    # repr() escapes what could move a terminal's cursor: the names come from the other side
+    raise ChannelError(f"expected {expected}, but the certificate there is of {found[:80]!r}")
 
 
 def _shake_hands(stream: TlsStream, timeout: float) -> None:
@@ -189,20 +210,32 @@ def _shake_hands(stream: TlsStream, timeout: float) -> None:
         raise NotYet(f"the connection ended before the TLS handshake did: {describe(error)}") from error
 
 
-class _TlsCaller(Caller):
+class TlsCaller(Caller):
+    """A caller that has yet to prove by its certificate to be a peer.
+
+    Args:
+        stream: The connection, before the handshake.
+        peers: Names of the robots to accept.
+
+    Attributes:
+        name: Which of them it is, once it has proved that.
+    """
+
     farewell = _WRONG_ROBOT
 
-    def __init__(self, stream: TlsStream, peer: str) -> None:
+    def __init__(self, stream: TlsStream, peers: Collection[str]) -> None:
         super().__init__(stream)
         self._tls = stream
-        self._peer = peer
+        self._peers = peers
+        self.name = ""
 
     def proceed(self) -> int:
+        """Go on with the handshake; see :class:`Caller`."""
         try:
             events = self._tls.handshake()
         except OSError as error:
             hint = ": credentials of another dealer run?" if is_about_a_certificate(error) else ""
             raise ChannelError(f"the TLS handshake failed: {describe(error)}{hint}") from error
         if not events:
-            require_name(self._tls, self._peer)
+            self.name = require_name(self._tls, self._peers)
         return events

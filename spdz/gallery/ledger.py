@@ -156,14 +156,17 @@ class Ledger:
             _refuse_strip(self._journal.mark, strip)
             self._finish(strip, None)
 
-    def results(self) -> Iterator[tuple[Strip, bytes]]:
+    def results(self, after: int = 0) -> Iterator[tuple[Strip, bytes]]:
         """The strips that were committed, in order, and their results, read one by one.
+
+        Args:
+            after: How many of the first are left out.
 
         Raises:
             TapeDamaged: The results are not those that were stored.
         """
         with self._journal.at_work():
-            strips = self._journal.strips("results IS NOT NULL")
+            strips = self._journal.strips("results IS NOT NULL")[after:]
         for number, strip in strips:
             with self._journal.at_work() as store:
                 [(stored,)] = store.all("SELECT results FROM strips WHERE number = ?", number)

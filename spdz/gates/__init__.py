@@ -6,6 +6,7 @@ protocols call. Nothing here knows who else is running: a new gate needs no chan
 
 from spdz.gates.beaver import beaver_dot, beaver_multiply
 from spdz.gates.comparison import absolute, largest, maximum, nonnegative, sign
+from spdz.gates.decision import decided
 from spdz.gates.masking import mask
 from spdz.gates.monomial import multiply
 from spdz.gates.product import dot
@@ -15,6 +16,7 @@ __all__ = [
     "absolute",
     "beaver_dot",
     "beaver_multiply",
+    "decided",
     "dot",
     "largest",
     "mask",

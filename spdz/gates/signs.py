@@ -17,8 +17,10 @@ checked before step 2 (:mod:`spdz.gates.output` sees to it): a wrong c makes the
 
 from __future__ import annotations
 
+import numpy as np
+
 from spdz.dcf import signs
-from spdz.foundations.types import Block
+from spdz.foundations.types import Block, FieldArray
 from spdz.gates.masking import dealt_integer_mask, in_place
 from spdz.values.engine import Engine, Evaluation, Recipe
 from spdz.values.trees import TreePads, arranged, restored
@@ -32,23 +34,40 @@ def straight(z: Value) -> Value | None:
     return z.sign_of if z.undecided else None
 
 
-def deal(recipe: Recipe, z: Value) -> None:
-    """Deal what opens the signs of a masked value."""
+def deal(recipe: Recipe, z: Value, kind: str = KIND, flips: FieldArray | None = None) -> None:
+    """Deal what opens the signs of a masked value.
+
+    Args:
+        recipe: The reading.
+        z: The masked value.
+        kind: Of the correlation.
+        flips: Where the bit is opened masked: 0 or 1 for every entry, which it is XORed with.
+    """
     z, bits, drop = _in_place(recipe, z)
 
     def make(pads: TreePads) -> tuple[Block, Block, Block | None]:
         rho = arranged(dealt_integer_mask(z.parts[0], bits), pads.order)
+        if flips is not None:
+            rho = flipped(rho, bits, arranged(flips, pads.order))
         if pads.top is None:
             raise ValueError("a sign has a block beside its tree")
         return signs.deal_sign(rho, bits, drop, *pads.deltas, pads.first, pads.top, pads.batches)
 
-    recipe.tree(KIND, z, signs.sign_levels(bits, drop), make, top=True)
+    recipe.tree(kind, z, signs.sign_levels(bits, drop), make, top=True)
 
 
-def evaluate(party: Evaluation, z: Value) -> tuple[Block, Block]:
+def flipped(rho: FieldArray, bits: int, flips: FieldArray) -> Block:
+    """Rho with the top of its lowest ``bits`` bits turned over where ``flips`` is 1, and with it the sign."""
+    word, offset = divmod(bits - 1, 64)
+    result: Block = rho.copy()
+    result[:, word] ^= flips[:, 0] << np.uint64(offset)
+    return result
+
+
+def evaluate(party: Evaluation, z: Value, kind: str = KIND) -> tuple[Block, Block]:
     """Step 1: S_i and Delta_i of every entry, shape (n, 2)."""
     z, bits, drop = _in_place(party, z)
-    key = party.tree(KIND, z.shape, signs.sign_levels(bits, drop), top=True)
+    key = party.tree(kind, z.shape, signs.sign_levels(bits, drop), top=True)
     if key.top is None:
         raise ValueError("a sign has a block beside its tree")
     c = arranged(z.parts[0], key.order)

@@ -13,13 +13,12 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from spdz.arithmetic.bound import Bound
-from spdz.arithmetic.fixed_point import FRACTION_BITS, norm_bound, square_bounds
+from spdz.arithmetic.bound import Bound, root
+from spdz.arithmetic.fixed_point import FRACTION_BITS
 from spdz.arithmetic.short import MOST_BITS
 from spdz.foundations.types import Security, Shape
-from spdz.gates.interval import inside
 from spdz.gates.output import output
-from spdz.gates.product import dot
+from spdz.readings.sections import Section, prove
 from spdz.rounds.coroutine import check
 from spdz.values.engine import Engine
 from spdz.values.input_mask import SLOT_REJECTION, provable_bits, span, word_bits
@@ -28,11 +27,15 @@ from spdz.values.value import Value
 
 
 class GalleryProgram(Protocol):
-    """What a gallery computes. Both steps are ``async``; ``vectors`` has shape (n, N)."""
+    """What a gallery computes. Both steps are ``async``; ``vectors`` has shape (n, N).
+
+    A program whose vectors are several descriptors end to end has an attribute ``sections``, a tuple of
+    :class:`spdz.readings.sections.Section`.
+    """
 
     @property
     def max_norm(self) -> float:
-        """The largest L2 norm of a vector."""
+        """The largest L2 norm of a vector, or of the longest of its sections."""
 
     def prepare(self, engine: Engine, vectors: Value, /) -> Awaitable[tuple[Value, ...]]:
         """What a pair needs of one vector, computed once a slot: values whose first axis is the vectors'."""
@@ -56,8 +59,8 @@ class Terms:
         dim: Length N of a vector.
         security: The security model.
         resolution: Fractional bits of the score that a comparison looks at; None for all.
-        min_norm: The smallest L2 norm of a vector; 0 for none.
-        proof: Whether every slot's norm is proved (malicious mode only).
+        min_norm: The smallest L2 norm of a vector; 0 for none. Sections have their own.
+        proof: Whether every slot's norms are proved (malicious mode only).
     """
 
     program: GalleryProgram
@@ -68,7 +71,11 @@ class Terms:
     proof: bool = True
 
     def __post_init__(self) -> None:
-        if self.word_bits > min(provable_bits(self.dim), MOST_BITS - 1):
+        sections = self.sections
+        if sum(one.dim for one in sections) != self.dim or (len(sections) > 1 and self.min_norm):
+            raise ValueError("sections make up the whole vector, and each has a smallest norm of its own")
+        most = min(min(provable_bits(one.dim) for one in sections), MOST_BITS - 1)
+        if self.word_bits > most:
             raise ValueError(
                 f"vectors of {self.dim} numbers and norm {self.program.max_norm:g} need words of more "
                 "than 57 bits, which a gallery has not: scale them down and deal for a smaller max_norm"
@@ -76,19 +83,30 @@ class Terms:
         _ = self.squares  # raises for norms out of range
 
     @property
-    def norm(self) -> int:
-        """The largest L2 norm of a quantised vector, raw."""
-        return norm_bound(self.program.max_norm, self.dim)
+    def sections(self) -> tuple[Section, ...]:
+        """What vectors consist of: one section, or the program's."""
+        whole = Section("vector", self.dim, self.program.max_norm, self.min_norm)
+        return getattr(self.program, "sections", None) or (whole,)
 
     @property
-    def squares(self) -> tuple[int, int]:
-        """The least and the greatest square of an honest vector's norm, raw."""
-        return square_bounds(self.min_norm, self.program.max_norm, self.dim)
+    def entry(self) -> int:
+        """The largest magnitude of a quantised coordinate: that of the longest section, raw."""
+        return max(one.norm for one in self.sections)
+
+    @property
+    def norm(self) -> int:
+        """The largest L2 norm of a quantised vector, raw."""
+        return root(sum(one.norm**2 for one in self.sections))
+
+    @property
+    def squares(self) -> tuple[tuple[int, int], ...]:
+        """The least and the greatest square of the norm of each section of an honest vector, raw."""
+        return tuple(one.squares for one in self.sections)
 
     @property
     def word_bits(self) -> int:
         """Bits of a word, or LONG."""
-        return word_bits((self.dim,), self.norm, SLOT_REJECTION)
+        return word_bits((self.dim,), self.entry, SLOT_REJECTION)
 
     @property
     def rule(self) -> str:
@@ -99,12 +117,12 @@ class Terms:
 
     @property
     def proves(self) -> bool:
-        """Whether the norm of every slot is proved."""
+        """Whether the norms of every slot are proved."""
         return self.proof and self.security == "malicious"
 
     def standing(self, owner: int) -> Standing:
         """Vectors of which nothing is known yet."""
-        return Standing(owner, self.word_bits, self.norm.bit_length())
+        return Standing(owner, self.word_bits, self.entry.bit_length())
 
     def value(self, engine: Engine, vectors: Standing, shape: Shape, parts: Any) -> Value:
         """Vectors as an operand of the program."""
@@ -162,8 +180,8 @@ async def fill(engine: Engine, terms: Terms, vectors: Value) -> tuple[tuple[Deri
         vectors: Masked, shape (n, N).
 
     Returns:
-        What was prepared, and for every slot whether its norm is proved: all True without a proof, None at
-        dealer and meter.
+        What was prepared, and for every slot and section whether its norm is proved, shape (n, sections);
+        None where nothing is proved, and at dealer and meter.
     """
     prepared = await terms.program.prepare(engine, vectors)
     for value in prepared:
@@ -172,7 +190,7 @@ async def fill(engine: Engine, terms: Terms, vectors: Value) -> tuple[tuple[Deri
         _ = value.parts
     proved = None
     if terms.proves:
-        proved = await inside(dot(vectors, vectors), *terms.squares)
+        proved = await prove(vectors, terms.sections)
     elif engine.has_unchecked_openings:
         await check()
     return tuple(Derived(value) for value in prepared), proved

@@ -23,6 +23,8 @@ class RecordPlan:
         elements_sent: Field elements that each party sends.
         rounds: Exchanges, MAC checks included, of any number of slots or pairs together.
         openings: Rounds among them that open field elements.
+        bits_sent: Bits that each party sends.
+        repeatable: Whether it may be run again after a break (:attr:`spdz.readings.meter.Meter.repeatable`).
     """
 
     pad_bytes: tuple[int, int]
@@ -30,6 +32,8 @@ class RecordPlan:
     elements_sent: tuple[int, int]
     rounds: int
     openings: int
+    bits_sent: int
+    repeatable: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +82,8 @@ def _measure(terms: Terms, rows: int, columns: int) -> GalleryPlan:
     run_silently(compare(pairs, terms, sides[0], sides[1]), pairs.on_request)
     for meter in (*meters, pairs):
         symbols += meter.trace
-    kind = (terms.security, terms.dim, terms.norm, terms.squares, terms.proves, terms.resolution)
+    parts = tuple((one.dim, one.norm, one.squares) for one in terms.sections)
+    kind = (terms.security, terms.dim, parts, terms.proves, terms.resolution)
     first, second = (_plan(meter, count) for meter, count in zip(meters, (rows, columns), strict=True))
     return GalleryPlan(
         (first, second),
@@ -111,4 +116,6 @@ def _plan(meter: Meter, count: int) -> RecordPlan:
         (sent[0] // count, sent[1] // count),
         meter.rounds,
         meter.openings,
+        meter.bits_sent // count,
+        meter.repeatable,
     )

@@ -61,7 +61,17 @@ class Plan:
 
 
 class Meter(Recipe):
-    """The dealer's reading without data."""
+    """The dealer's reading without data.
+
+    Attributes:
+        rounds: Exchanges and checks.
+        openings: Rounds that open field elements.
+        bits_sent: Bits opened.
+        opened_bits: Whether what was opened last were bits.
+        repeatable: Whether everything opened is checked before anything that depends on it is sent. Then a
+            run that was broken off can be run again on the same inputs: a party sends the same bytes,
+            whatever the other one did. In the semi-honest mode it does so anyway.
+    """
 
     def __init__(self, security: Security, lead: Shape = ()) -> None:
         """Args: the security model, and the axes that count records where a gallery is metered."""
@@ -70,11 +80,14 @@ class Meter(Recipe):
         self.ring = SymbolRing()
         self.pad_bytes, self.correction_bytes = [0, 0], [0, 0]
         self.elements_sent = [0, 0]
-        self.rounds = self.openings = 0
+        self.rounds = self.openings = self.bits_sent = 0
         self.opened_bits = False
+        self.repeatable = True
         self.correlations: Counter[str] = Counter()
         self.trace: list[Symbol] = []
         self._unchecked = False
+        self._now: set[str] = set()
+        self._open = False
 
     @property
     def has_unchecked_openings(self) -> bool:
@@ -215,9 +228,8 @@ class Meter(Recipe):
 
     async def opening_bits(self, bits: int) -> None:
         """Count one round."""
-        self.opened_bits = True
-        self._unchecked = self.malicious
-        await self.round((0, 0))
+        self.bits_sent += bits
+        await self._opening("bits", (0, 0))
 
     async def round(self, sent: tuple[int, int]) -> None:
         """Count one round."""
@@ -227,9 +239,13 @@ class Meter(Recipe):
 
     async def opening(self, elements: int) -> None:
         """Count one round whose openings wait for a check."""
-        self.openings += 1
+        await self._opening("elements", (elements, elements))
+
+    async def _opening(self, what: str, sent: tuple[int, int]) -> None:
+        self.opened_bits = what == "bits"
         self._unchecked = self.malicious
-        await self.round((elements, elements))
+        self._now.add(what)
+        await self.round(sent)
 
     def _size(self, shape: Shape) -> int:
         """Entries of an array, of one record where a gallery is metered."""
@@ -249,7 +265,12 @@ class Meter(Recipe):
         """See the rounds as the outermost driver does."""
         self.rounds += 1
         if isinstance(request, Check):
-            self._unchecked = False
+            self._unchecked = self._open = False
+        elif self._now:
+            self.openings += "elements" in self._now
+            self.repeatable &= not self._open
+            self._open = self.malicious
+            self._now.clear()
 
 
 def measure(program: Program, shapes: tuple[Shape, Shape], security: Security) -> Plan:

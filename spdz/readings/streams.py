@@ -155,7 +155,8 @@ class RecordStream:
 
     def correction_rows(self, shape: Shape, blocks: int) -> Block:
         """As :meth:`JobStream.correction_rows`."""
-        return self._rows(1, self.each(shape) * blocks).reshape(-1, blocks, 2)
+        each = self.each(shape)
+        return self._rows(1, each * blocks).reshape(self.records * each, blocks, 2)
 
     @property
     def exhausted(self) -> bool:

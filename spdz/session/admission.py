@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from spdz.arithmetic.fixed_point import encode
-from spdz.foundations.errors import TapeMismatch
+from spdz.foundations.errors import ProtocolViolation, TapeMismatch
 from spdz.foundations.types import IntArray
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.gallery_plan import GalleryPlan, measure_gallery
+from spdz.readings.sections import encode_sections
 
 
 def checked_plan(tape: GalleryTape, terms: Terms) -> GalleryPlan:
@@ -36,7 +39,29 @@ def quantised(terms: Terms, descriptors: npt.ArrayLike) -> IntArray:
         raise ValueError(f"descriptors are an array of shape (n, {terms.dim}), not {array.shape}")
     if not len(array):
         return np.empty((0, terms.dim), dtype=np.int64)
-    return encode(array, max_norm=terms.program.max_norm, min_norm=terms.min_norm)
+    return encode_sections(terms.sections, array)
+
+
+def refuse_unproved(terms: Terms, name: str, slots: Sequence[int], proofs: Any) -> None:
+    """Refuse vectors of which a norm is not proved.
+
+    Args:
+        terms: The gallery's.
+        name: The robot whose vectors they are.
+        slots: Where they are.
+        proofs: For every slot and section whether its norm is an honest one; None where nothing is proved.
+
+    Raises:
+        ProtocolViolation: naming robot, slot and section.
+    """
+    if proofs is None or proofs.all():
+        return
+    slot, at = (int(number) for number in np.argwhere(~proofs)[0])
+    section = terms.sections[at]
+    raise ProtocolViolation(
+        f"the {section.name} in slot {slots[slot]} of {name} has not a norm between {section.min_norm:g} and "
+        f"{section.max_norm:g}: nothing was compared with it"
+    )
 
 
 def pinned_text(plan: GalleryPlan, terms: Terms) -> bytes:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TypeAlias
 
 from spdz.channels import Channel, tcp, tls
 from spdz.channels.addresses import parse_address
@@ -19,6 +20,9 @@ from spdz.session.gallery import GallerySession
 from spdz.session.session import Session
 from spdz.tape import Tape
 from spdz.tape.header import Header
+
+Reach: TypeAlias = Callable[[Header, Path], Channel]
+"""Makes the channel to the peer that a tape's header names, with the credentials in a folder."""
 
 
 def open_session(
@@ -87,6 +91,7 @@ def open_gallery(
     timeout: float = 30.0,
     state_dir: str | Path | None = None,
     on_event: Callable[[str], None] = ignore,
+    reach: Reach | None = None,
 ) -> GallerySession:
     """Open a gallery and connect to the peer that it was dealt for; arguments as for :func:`open_session`.
 
@@ -103,13 +108,16 @@ def open_gallery(
         timeout: As for a session.
         state_dir: As for a session.
         on_event: As for a session.
+        reach: In the place of ``listen`` and ``connect``: makes the channel to the peer, by a port
+            (:mod:`spdz.channels.port`), say. It gets the tape's header and the folder of the credentials,
+            which were held against the header unless ``insecure``. ``wait`` and ``timeout`` are its own.
 
     Raises:
         ValueError: as :func:`open_session`.
         TapeError: if tape or ledger are damaged, in use, destroyed, or do not match the peer's.
         ChannelError: as :func:`open_session`.
     """
-    check_where(listen, connect, wait, timeout)
+    check_where(listen, connect, wait, timeout, reach)
     path, state = Path(tape), None if state_dir is None else Path(state_dir)
     with ExitStack() as resources:
         opened = resources.enter_context(GalleryTape.open(path, state_dir=state))
@@ -126,6 +134,7 @@ def open_gallery(
             wait=wait,
             timeout=timeout,
             on_event=on_event,
+            reach=reach,
         )
         resources.pop_all()
     return GallerySession(opened, ledger, channel, terms, waiting)
@@ -141,26 +150,36 @@ def reach_peer(
     wait: float,
     timeout: float,
     on_event: Callable[[str], None],
+    reach: Reach | None = None,
 ) -> Channel:
     """Connect to the peer of a tape, whose header names both robots."""
     where, events = listen or connect or "", {"timeout": timeout, "wait": wait, "on_event": on_event}
-    if insecure:
-        reach = tcp.connect if listen is None else tcp.listen
-        return reach(where, **events)  # type: ignore[arg-type]
-    check_credentials(credentials, header.name)
+    if insecure and reach is None:
+        meet_plainly = tcp.connect if listen is None else tcp.listen
+        return meet_plainly(where, **events)  # type: ignore[arg-type]
+    if not insecure:
+        check_credentials(credentials, header.name)
+    if reach is not None:
+        return reach(header, credentials)
     meet = tls.connect if listen is None else tls.listen
     return meet(where, credentials, header.peer, **events)  # type: ignore[arg-type]
 
 
-def check_where(listen: str | None, connect: str | None, wait: float, timeout: float) -> None:
+def check_where(
+    listen: str | None, connect: str | None, wait: float, timeout: float, reach: Reach | None = None
+) -> None:
     """Refuse arguments of :func:`open_session` that make no sense, before anything is opened.
 
     Raises:
         ValueError: naming the argument.
     """
-    if (listen is None) == (connect is None):
+    if reach is not None:
+        if listen is not None or connect is not None:
+            raise ValueError("reach= takes the place of listen= and connect=: give it alone")
+    elif (listen is None) == (connect is None):
         raise ValueError("give exactly one of listen= and connect=")
-    parse_address(listen or connect or "")
+    else:
+        parse_address(listen or connect or "")
     for name, seconds in (("wait", wait), ("timeout", timeout)):
         if not (seconds > 0 and math.isfinite(seconds)):
             raise ValueError(f"{name} must be a positive number of seconds, not {seconds!r}")

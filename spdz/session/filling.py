@@ -22,7 +22,7 @@ from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.session.agreement import Agreement
 from spdz.session.handshake import shown
-from spdz.session.meeting import MOST
+from spdz.session.meeting import MOST, PREPARED
 from spdz.session.shelf import Shelf
 from spdz.session.strips import Step
 from spdz.values.input_mask import element_bytes, inside, pack, unpack
@@ -47,6 +47,7 @@ class Filling:
         text: What the gallery computes.
         waiting: Quantised descriptors that the next step brings.
         sent: Own slots that the peer has.
+        accept: Descriptors that the peer may still bring in this step; None for any number.
     """
 
     tape: GalleryTape
@@ -57,6 +58,7 @@ class Filling:
     text: bytes
     waiting: list[IntArray] = field(repr=False)
     sent: int = 0
+    accept: int | None = None
 
     @property
     def party(self) -> int:
@@ -113,13 +115,28 @@ class Filling:
         self.sent = own.filled
         return bool(self.waiting) or bool(answer["more"])
 
+    def restore(self, ready: tuple[int, int], alpha: int | None) -> None:
+        """Read what earlier sessions have filled; what the peer has not prepared is prepared once more.
+
+        Args:
+            ready: Slots of either party, from the first on, that both sides have prepared.
+            alpha: This party's share of the MAC key; None in semi-honest mode.
+        """
+        for shelf in self.shelves:
+            slots = self.ledger.slots[shelf.owner]
+            for start in range(0, slots.filled, PREPARED):
+                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
+                self.place(shelf.owner, entries)
+                known = [slot for slot, words in entries if words is not None and slot < ready[shelf.owner]]
+                shelf.restore(known, [slots.noted(slot) or b"" for slot in known], alpha)
+
     def take_back(self, slots: Sequence[int]) -> None:
         """Bring the descriptors in own slots that become void once more, in other slots."""
         own, shelf, terms = self.ledger.slots[self.party], self.shelves[self.party], self.terms
         held = [(slot, words) for slot in slots if (words := own.eps(slot, slot + 1)[0]) is not None]
         if held:
             raw = b"".join(words for _, words in held)
-            masked = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            masked = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.entry)
             self.waiting[:0] = list(masked - shelf.masks([slot for slot, _ in held]))
 
     def place(self, owner: int, entries: Sequence[Entry]) -> None:
@@ -132,7 +149,7 @@ class Filling:
         if held:
             terms = self.terms
             raw = b"".join(words for _, words in held)
-            words = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.norm)
+            words = unpack(raw, (len(held), terms.dim), terms.word_bits, terms.entry)
             self.shelves[owner].place([slot for slot, _ in held], words)
 
     @property
@@ -149,7 +166,7 @@ class Filling:
             if not count:
                 self.refuse_more_than(0, waiting)
             words = np.stack(self.waiting[done : done + count]) + shelf.masks(range(slot, slot + count))
-            good = inside(words, terms.word_bits, terms.norm).all(axis=1)
+            good = inside(words, terms.word_bits, terms.entry).all(axis=1)
             stop = count if good.all() else int(np.argmin(good))
             packed = pack(words[:stop], terms.word_bits).reshape(stop, self._size)
             entries += [(slot + i, packed[i].tobytes()) for i in range(stop)]
@@ -175,6 +192,10 @@ class Filling:
             raise ProtocolViolation("the peer's offer of slots is malformed, or more than its gallery holds")
         if answer["from"] != filled:
             raise OutOfStep(f"the peer sends slots from {shown(answer['from'], 8)} on, and {filled} are here")
+        if self.accept is not None:
+            self.accept -= count - len(set(void))
+            if self.accept < 0:
+                raise ProtocolViolation("the peer brings more descriptors than were agreed on: refused")
         return count, set(void)
 
     def _received(self, first: int, count: int, void: set[int], reply: Any) -> list[Entry]:

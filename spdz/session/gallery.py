@@ -13,19 +13,18 @@ durable before the caller sees them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from spdz.channels import Channel, FrameKind
-from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.foundations.errors import TapeMismatch
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import IntArray, Json
+from spdz.foundations.types import FloatArray, IntArray, Json
 from spdz.gallery.ledger import Ledger
 from spdz.gallery.slots import Notes
-from spdz.gallery.strip import Strip, between
+from spdz.gallery.strip import Strip
 from spdz.gallery.tape import GalleryTape
 from spdz.readings.gallery import Terms
 from spdz.readings.party import Party
@@ -33,19 +32,20 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.session import handshake
-from spdz.session.admission import check_rule, checked_plan, pinned_text, quantised
+from spdz.session.admission import checked_plan, pinned_text, quantised, refuse_unproved
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 from spdz.session.driver import run_channel
 from spdz.session.filling import Filling
-from spdz.session.handshake import shown
-from spdz.session.lifecycle import Lifecycle
-from spdz.session.meeting import PREPARED, Standpoint, meet
+from spdz.session.holdings import Holdings
+from spdz.session.meeting import PREPARED
+from spdz.session.returning import meet_again
+from spdz.session.revealing import Revealing
 from spdz.session.shelf import Shelf, configured
-from spdz.session.strips import Block, Step, held_slots, stored_blocks, within
+from spdz.session.strips import Block, Step, held_slots
 
 
-class GallerySession(Lifecycle):
+class GallerySession(Holdings):
     """One party of a gallery, connected to the other.
 
     Args:
@@ -79,6 +79,7 @@ class GallerySession(Lifecycle):
             text = pinned_text(self._plan, terms)
             self._filling = Filling(tape, terms, ledger, self._shelves, channel, text, self._waiting)
             self._comparing = Comparing(tape, terms, self._plan, ledger, self._shelves)
+            self._revealing = Revealing(tape, terms, self._plan, ledger, self._shelves)
             own = handshake.Hello.of_gallery(tape.header)
             message = channel.exchange(FrameKind.CONTROL, [own.encode()], None)
             peer = handshake.Hello.decode(bytes(message))
@@ -87,52 +88,12 @@ class GallerySession(Lifecycle):
             channel.bind(int.from_bytes(session[:4], "little"))
             self._agreement = Agreement(channel, self.party, session, self._alpha)
             self._meet()
-            self._restore()
 
     def __repr__(self) -> str:
         header = self._tape.header
         return (
             f"<gallery of {header.name} with {header.peer}{f': dead ({self._dead})' if self._dead else ''}>"
         )
-
-    @property
-    def party(self) -> int:
-        """0 or 1."""
-        return int(self._tape.header.party)
-
-    @property
-    def room(self) -> int:
-        """Own slots that are neither used nor waited for."""
-        return self._filling.room
-
-    def require_room(self, more: int) -> None:
-        """Raise :class:`TapeExhausted` unless there are slots for so many more descriptors."""
-        self._filling.refuse_more_than(self.room, more)
-
-    def results(self) -> Iterator[Block]:
-        """All results so far, as they were committed, strip by strip."""
-        return stored_blocks(self._ledger, self.party, bits=self._plan.bits)
-
-    def plain(self, slots: Sequence[int]) -> IntArray:
-        """The quantised descriptors in own slots, raw.
-
-        Raises:
-            ValueError: if a slot holds none.
-        """
-        if not set(slots) <= set(self.filled):
-            raise ValueError("a descriptor is asked for that is in no slot: see `filled`")
-        return self._shelves[self.party].plain(slots)
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether pairs of filled slots wait to be compared, as after a step that was broken off."""
-        first, second = self._ledger.slots
-        return bool(self._comparing.again or between(self._ledger.done, (first.filled, second.filled)))
-
-    @property
-    def filled(self) -> list[int]:
-        """Own slots that hold a descriptor."""
-        return held_slots(self._ledger, self.party)
 
     def add(self, descriptors: npt.ArrayLike) -> None:
         """Bring descriptors to the next step.
@@ -150,15 +111,21 @@ class GallerySession(Lifecycle):
         self._waiting += list(raw)
 
     def step(
-        self, on_block: Callable[[Block], None] = lambda block: None, *, into: Step | None = None
+        self,
+        on_block: Callable[[Block], None] = lambda block: None,
+        *,
+        into: Step | None = None,
+        accept: int | None = None,
     ) -> Step:
         """Bring what was added, and compare all new pairs; both sides call it equally often.
 
         Args:
             on_block: Called with every block as soon as it is checked and durable.
             into: A step that an earlier session has begun, to go on with.
+            accept: Most descriptors that the peer may bring; None for as many as there are slots.
 
         Raises:
+            ProtocolViolation: if the peer brings more than that; nothing is compared with them.
             MacCheckFailed: if the peer cheated; nothing more is output, and tape and ledger are destroyed.
             SpdzError: as any session. What was output stays true.
         """
@@ -166,6 +133,7 @@ class GallerySession(Lifecycle):
             step, more = Step() if into is None else into, True
             mine, theirs = (self._ledger.slots[owner].voids for owner in (self.party, 1 - self.party))
             step.forget(mine, theirs)
+            self._filling.accept = accept
             while more:
                 with step.filling.timed() as stats:
                     more = self._filling.exchange(self._agreement, step)
@@ -175,10 +143,34 @@ class GallerySession(Lifecycle):
                     self._comparing.new(self, step, on_block, notes)
             return step
 
-    def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
-        """Swap one small public JSON object with the peer."""
+    def reveal(self, own: Sequence[int], expected: Sequence[int]) -> dict[int, FloatArray]:
+        """Open descriptors that were found to match, proved to be those that were compared.
+
+        Both sides call it in step, and each says what it opens and what it expects; these must fit. Agree on
+        the pairs before (:meth:`exchange_note`), since a pair may have been given up on one side. There is no
+        fairness: a peer may take what it gets and hang up. In the semi-honest mode nothing is proved.
+
+        Args:
+            own: Own slots that this side opens; none are legal. The same slots may be opened again.
+            expected: Slots of the peer's that it opens.
+
+        Returns:
+            The peer's descriptors, of shape (N,), by slot.
+
+        Raises:
+            ValueError: if one of the slots is in no pair of :meth:`results` that is True and whose slots both
+                hold a descriptor, or if there are more than 2,048; nothing was sent and the session lives.
+            OutOfStep: if the peer opens or expects others; nothing was opened.
+            ProtocolViolation: if the peer opens numbers that are out of range.
+            MacCheckFailed: if it opens another vector than the one that was compared; nothing is returned,
+                and tape and ledger are destroyed.
+            SpdzError: as any session.
+        """
+        self._require_alive()
+        with self._turn:
+            opened = self._revealing.checked(own, expected)
         with self._guard():
-            return self._agreement.note(note)
+            return self._revealing.open(self, self._agreement, opened)
 
     def part(self, steps: int) -> None:
         """Part with the peer after so many steps.
@@ -232,12 +224,7 @@ class GallerySession(Lifecycle):
         return [slot for slot in held_slots(self._ledger, owner) if slot >= self._ready[owner]][:PREPARED]
 
     def _refuse_unproved(self, owner: int, slots: list[int], proofs: Any) -> None:
-        if proofs is not None and not proofs.all():
-            terms, bad = self._terms, slots[int(np.argmin(proofs))]
-            raise ProtocolViolation(
-                f"the vector in slot {bad} of {self._tape.header.agents[owner]} has not a norm between "
-                f"{terms.min_norm:g} and {terms.program.max_norm:g}: nothing was compared with it"
-            )
+        refuse_unproved(self._terms, self._tape.header.agents[owner], slots, proofs)
 
     def reader(self, stream: RecordStream, stats: Stats) -> Party:
         """A party of this session that draws on some records."""
@@ -252,43 +239,10 @@ class GallerySession(Lifecycle):
         """Wait for the peer at a strip of which nothing is compared."""
         self._agreement.control({"void": str(strip)}, "void")
 
-    # -- meeting again -------------------------------------------------------------------------------
-
     def _meet(self) -> None:
-        """Compare accounts, make void what either has lost, and find the strip that was broken off."""
-        own, ledger = Standpoint.of(self._ledger), self._ledger
-        rule = self._terms.rule
-        account = {**own.as_json(), "text": self._plan.text, "rule": rule[:120]}
-        answer = self._agreement.control(account, *account)
-        check_rule(ledger.text, self._plan, self._terms)
-        if answer["text"] != self._plan.text:
-            raise TapeMismatch(
-                f"the peer computes {shown(answer['rule'], 120)} and this side {rule}: give both robots the "
-                "same threshold and program"
-            )
-        peer = Standpoint.read(answer, self._tape.header.capacity)
-        agreed = meet(own, peer, self.party, self._plan)
-        mine = ledger.slots[self.party]
-        mine.fill([(mine.filled + i, None) for i in range(agreed.lost)])
-        self._ready = list(agreed.ready)
-        self._filling.take_back([slot for slot in agreed.void[self.party] if slot >= self._ready[self.party]])
-        for slots, void in zip(ledger.slots, agreed.void, strict=True):
-            slots.void(void)
-        for strip in agreed.burn:
-            if not within(strip, ledger.done):
-                ledger.burn(strip)
-        self._filling.sent, self._comparing.again = agreed.send, agreed.again
-
-    def _restore(self) -> None:
-        """Read what earlier sessions have filled."""
-        for shelf in self._shelves:
-            slots = self._ledger.slots[shelf.owner]
-            for start in range(0, slots.filled, PREPARED):
-                entries = list(enumerate(slots.eps(start, min(start + PREPARED, slots.filled)), start))
-                self._filling.place(shelf.owner, entries)
-                ready = self._ready[shelf.owner]  # what the peer has not prepared is prepared once more
-                known = [slot for slot, words in entries if words is not None and slot < ready]
-                shelf.restore(known, [slots.noted(slot) or b"" for slot in known], self._alpha)
+        agreed = meet_again(self._agreement, self._filling, self._plan)
+        self._ready, self._comparing.again = list(agreed.ready), agreed.again
+        self._filling.restore(agreed.ready, self._alpha)
 
     @property
     def _alpha(self) -> int | None:

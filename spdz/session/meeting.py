@@ -140,8 +140,8 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
         own: This side's.
         peer: The peer's.
         party: This side's number.
-        plan: The program's. With one opening before the first check every share is the same when it is
-            run again; with more, what was begun and not finished is given up.
+        plan: The program's. Where everything opened is checked before anything that depends on it is sent,
+            every share is the same when it is run again; else what was begun and not finished is given up.
 
     Raises:
         TapeMismatch: if they differ by more than one step of an honest run.
@@ -160,10 +160,10 @@ def meet(own: Standpoint, peer: Standpoint, party: int, plan: GalleryPlan) -> Ag
     void = [set(own.void[owner]) | set(peer.void[owner]) for owner in (0, 1)]
     void[1 - party] |= set(forgotten)
     for i in (0, 1):
-        if plan.slots[i].openings > 1:
+        if not plan.slots[i].repeatable:
             void[i] |= _half_prepared(own, peer, i, void[i])
     first, second = (sorted(slot for slot in void[i] if slot < own.filled[i]) for i in (0, 1))
-    again, burn = _strips(own, peer, plan.pair.openings <= 1)
+    again, burn = _strips(own, peer, plan.pair.repeatable)
     for strip in (*again, *burn):
         rows, columns = (min(own.filled[i], peer.filled[i]) for i in (0, 1))
         if strip.pairs > STRIP_PAIRS and 1 not in (len(strip.rows), len(strip.columns)):

@@ -27,7 +27,7 @@ from spdz.foundations.errors import (
     TapeMismatch,
 )
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import IntArray, Json, Shape
+from spdz.foundations.types import IntArray, Shape
 from spdz.readings.meter import Plan
 from spdz.readings.party import Party
 from spdz.readings.plans import Plans
@@ -37,9 +37,9 @@ from spdz.rounds.coroutine import parallel
 from spdz.rounds.mac_check import drive
 from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.session.agreement import Agreement
+from spdz.session.conversation import Conversing
 from spdz.session.driver import run_channel
 from spdz.session.handshake import Hello, compare, session_id
-from spdz.session.lifecycle import Lifecycle
 from spdz.tape import Tape, TapeHeader
 
 
@@ -56,7 +56,7 @@ class Result:
     stats: Stats
 
 
-class Session(Lifecycle):
+class Session(Conversing):
     """One party of a pair, connected to the other.
 
     Args:
@@ -177,11 +177,6 @@ class Session(Lifecycle):
             lanes = [self._lane(program, job, raw, stats) for (_, job), raw in zip(jobs, inputs, strict=True)]
             values = run_channel(drive(_all(lanes), self._agreement.mac_check), self._channel, stats)
         return Result(values, stats)
-
-    def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
-        """Swap one small public JSON object with the peer, such as how many descriptors there are."""
-        with self._guard():
-            return self._agreement.note(note)
 
     # -- the parts of a run --------------------------------------------------------------------------
 

@@ -23,7 +23,8 @@ from spdz.readings.streams import RecordStream
 from spdz.rounds.coroutine import run_silently
 from spdz.rounds.mac_check import MacCheck
 from spdz.values.engine import Input
-from spdz.values.input_mask import as_elements, offsets
+from spdz.values.input_mask import as_elements, field_offsets, offsets
+from spdz.values.standing import Standing
 from spdz.values.value import Value
 
 AnyParty = TypeVar("AnyParty", bound=Party)
@@ -116,6 +117,27 @@ class Shelf:
             party = ReplayingParty(index, security, self._stream(some), None, alpha, Stats())
             party.replay(opened[start : start + _TOGETHER])
             run_silently(self.prepare(configured(party, self._terms), some))
+
+    def words(self, slot: int) -> bytes:
+        """What a slot holds, as int64, little-endian."""
+        words: bytes = self._eps[slot].astype("<i8", copy=False).tobytes()
+        return words
+
+    def standing(self, slots: Sequence[int]) -> Standing:
+        """Slots that hold something, in any order, with masks and MAC shares as the tape has them.
+
+        Unlike :meth:`filled` it does not need them to be prepared.
+        """
+        shape = (len(slots), self._terms.dim)
+        known = replace(self._terms.standing(self.owner), eps=self._eps[list(slots)])
+        if not slots:
+            return replace(known, s=known.words if self._own else None)
+        header, stream = self._tape.header, self._stream(slots)
+        party = configured(
+            Party(header.party, self._terms.security, stream, None, None, Stats()), self._terms
+        )
+        mask, mac = party.input_mask(Input(self.owner, shape, self._terms.norm))
+        return replace(known, s=None if mask is None else field_offsets(mask), mac=mac)
 
     def filled(self, which: range) -> Filled:
         """Consecutive slots, none void, for a comparison."""

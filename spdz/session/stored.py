@@ -83,5 +83,5 @@ class Stored:
         raw = b"".join(one for one in words if one is not None)
         if not slots:
             return np.empty((0, terms.dim), dtype=np.int64)
-        shelf.place(slots, unpack(raw, (len(slots), terms.dim), terms.word_bits, terms.norm))
+        shelf.place(slots, unpack(raw, (len(slots), terms.dim), terms.word_bits, terms.entry))
         return shelf.plain(slots)

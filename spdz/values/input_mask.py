@@ -127,9 +127,16 @@ def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
     Raises:
         ProtocolViolation: if one lies outside the interval.
     """
-    full = np.zeros((prod(shape), 8), dtype=np.uint8)
-    full[:, : element_bytes(mask_bits)] = np.frombuffer(raw, dtype=np.uint8).reshape(prod(shape), -1)
-    words: IntArray = full.view("<i8").reshape(shape)
+    words = read_packed(raw, shape, mask_bits)
     if not inside(words, mask_bits, norm).all():
         raise ProtocolViolation("the peer sent a masked word outside the interval that honest words lie in")
+    return words
+
+
+def read_packed(raw: Buffer, shape: Shape, bits: int) -> IntArray:
+    """Numbers as :func:`pack` has packed them. A peer's may have more bits than told, up to whole bytes."""
+    full = np.zeros((prod(shape), 8), dtype=np.uint8)
+    size = element_bytes(bits)
+    full[:, :size] = np.frombuffer(raw, dtype=np.uint8).reshape(prod(shape), size)
+    words: IntArray = full.view("<i8").reshape(shape)
     return words

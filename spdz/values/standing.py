@@ -69,6 +69,10 @@ class Standing:
         return words, mask, self.among_pairs(self.mac)
 
     def rows(self, which: Any) -> Standing:
-        """Some of the vectors."""
+        """Some of the vectors, as views if that can be."""
         eps, s, mac = (None if part is None else part[which] for part in (self.eps, self.s, self.mac))
         return replace(self, eps=eps, s=s, mac=mac)
+
+    def cut(self, which: slice, entry: int) -> Standing:
+        """Views of some coordinates, which are at most ``entry`` in an honest vector."""
+        return replace(self.rows((slice(None), which)), plain_bits=min(self.plain_bits, entry.bit_length()))

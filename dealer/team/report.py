@@ -1,0 +1,82 @@
+"""A mission's forecast for people and for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+
+from dealer.plan import in_seconds
+from dealer.team.forecast import Forecast, RobotCost
+from protocols.memory import in_bytes
+from protocols.mission import Mission
+
+_WIDTHS = (8, 12, 12, 12, 12)
+_FEW = 8
+"""Robots that get a row of their own."""
+
+
+def as_json(mission: Mission, cost: Forecast) -> str:
+    """One object."""
+    fields = asdict(cost)
+    for one in mission.galleries:
+        fields["galleries"][one.name] |= {**one.description(), "security": mission.security}
+    return json.dumps({"digest": mission.digest, "pairs": len(mission.pairs), **fields})
+
+
+def as_text(mission: Mission, cost: Forecast) -> Iterator[str]:
+    """Tables, and what their columns mean."""
+    named = f" {mission.name!r}" if mission.name else ""
+    yield (
+        f"plan: mission{named}, {mission.security}: {len(mission.agents)} robots, {len(mission.pairs)} "
+        f"pair(s) of them, {cost.tasks} galleries, {cost.pairs_of_descriptors:,} pairs of descriptors"
+    )
+    for one in mission.galleries:
+        largest = cost.galleries[one.name]
+        rows, columns = largest.slots
+        parts = ", ".join(
+            f"{part.purpose.rule(part.threshold)} of {part.purpose.dim}-D {part.name}"
+            for part in one.descriptors
+        )
+        yield f"  {one.name}: {parts}; at most {rows:,} x {columns:,} of a pair of robots, of which each"
+        yield (
+            f"    stores {in_bytes(max(largest.tape_bytes))} ({largest.pair_tape_bytes:,} bytes a pair of "
+            f"descriptors) and sends {in_bytes(max(largest.bytes_sent))}"
+        )
+    yield _row("robot", "peers", "tapes", "sends", "memory", "matching")
+    shown = cost.robots if len(cost.robots) <= _FEW else _extremes(cost.robots)
+    for robot in shown:
+        yield _row(
+            robot.name,
+            f"{robot.peers}",
+            in_bytes(robot.tape_bytes),
+            in_bytes(robot.bytes_sent),
+            in_bytes(robot.memory),
+            in_seconds(robot.matching_seconds),
+        )
+    if len(shown) < len(cost.robots):
+        yield f"  (those with the least and the most of {len(cost.robots)})"
+    yield (
+        f"dealing: {in_bytes(cost.tape_bytes)} in all, {in_seconds(cost.dealing_seconds)} with "
+        f"{cost.workers} worker(s) here ({in_seconds(cost.core_seconds)} of one core), and "
+        f"{in_bytes(cost.dealing_memory)} of memory"
+    )
+    yield "the columns:"
+    yield "  tapes     on the robot's disk; exact"
+    yield "  sends     until all is compared; exact, without frames, agreements and checks"
+    yield "  memory    all slots filled, all galleries open; from above, beside the interpreter's 60 MB"
+    yield "  matching  time of one core like this one, without the line"
+    yield "times were measured on small galleries in memory: the disk is not counted. Nothing was written"
+
+
+def _extremes(robots: list[RobotCost]) -> list[RobotCost]:
+    ordered = sorted(robots, key=lambda robot: robot.tape_bytes)
+    return [ordered[0], ordered[-1]]
+
+
+def _row(name: str, *cells: str) -> str:
+    return (
+        "  "
+        + name.ljust(12)
+        + "".join(f"{cell:>{width}}" for cell, width in zip(cells, _WIDTHS, strict=True))
+    )

@@ -1,0 +1,208 @@
+"""One gallery with one peer, while the agent runs: connect, take turns, lose the line, connect again."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from protocols.agent.desk import Desk, Peer, Wake
+from protocols.agent.reasons import why_nothing
+from protocols.agent.records import RecordsError
+from protocols.agent.turn import Turns
+from protocols.agent.verifier import Verifier
+from spdz.channels import Channel
+from spdz.channels.telling import Teller
+from spdz.foundations.errors import (
+    ChannelError,
+    MacCheckFailed,
+    OutOfStep,
+    PeerAborted,
+    ProtocolViolation,
+    SpdzError,
+    TapeDestroyed,
+    TapeInUse,
+)
+from spdz.readings.gallery import Terms
+from spdz.session import open_gallery
+from spdz.tape.header import Header
+
+_SHORTEST, _LONGEST = 0.1, 5.0
+"""Seconds before another try to connect, doubled while tries bring nothing."""
+_SLOW = 10.0
+"""Seconds before another try where somebody has to do something first."""
+HEARTBEAT = 10.0
+"""Seconds without a turn after which one is made anyway: so a dead line is noticed."""
+
+Reach = Callable[[Header, Path], Channel]
+
+
+class Link:
+    """A gallery with a peer.
+
+    Args:
+        desk: The agent's.
+        peer: The other robot and its budgets.
+        gallery: The gallery's name.
+        tape: This robot's tape of it.
+        terms: What it is for.
+        reach: Makes a connection to the peer, or raises :class:`ChannelTimeout` after a few seconds.
+        verifier: The agent's.
+    """
+
+    def __init__(
+        self,
+        desk: Desk,
+        peer: Peer,
+        gallery: str,
+        tape: Path,
+        terms: Terms,
+        reach: Reach,
+        verifier: Verifier,
+    ) -> None:
+        self.peer, self.gallery = peer.name, gallery
+        self._peer = peer
+        self._desk, self._tape, self._terms, self._reach = desk, tape, terms, reach
+        self._wake = Wake()
+        self._turns = Turns(desk, peer, gallery, terms, verifier, self._wake.set)
+        self._teller = Teller(lambda text: self._tell("waiting", text))
+        self._state, self._why = "waiting", f"{peer.name} has not been reached yet"
+        self._thread = threading.Thread(target=self._run, name=f"spdz {peer.name} {gallery}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Have it look for what is new; any thread may."""
+        self._wake.set()
+
+    def join(self, seconds: float) -> bool:
+        """Wait for its end; returns whether it has ended."""
+        self._thread.join(seconds)
+        if not self._thread.is_alive():
+            self._wake.close()
+        return not self._thread.is_alive()
+
+    def status(self) -> dict[str, Any]:
+        """Where it stands, JSON-ready; without secrets."""
+        counts = self._turns.status()
+        state = self._state
+        return {
+            "peer": self.peer,
+            "gallery": self.gallery,
+            "state": state,
+            **counts,
+            "why": why_nothing(self.peer, state, self._why, counts),
+        }
+
+    # -- its thread ----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        pause = _SHORTEST
+        while not self._desk.stop.is_set():
+            try:
+                if self._resting():
+                    continue
+                met = self._once()
+                pause = _SHORTEST if met else min(2 * pause, _LONGEST)
+                self._desk.stop.wait(pause)
+            except (TapeDestroyed, MacCheckFailed) as error:
+                self._note("destroyed", "cheated", error)
+                return
+            except (TapeInUse, OSError) as error:
+                name = "records" if isinstance(error, RecordsError) else "system"
+                self._note("waiting", name, error)
+                self._desk.stop.wait(_SLOW)
+            except ProtocolViolation as error:
+                self._hold_against(error)
+                self._desk.stop.wait(_SLOW)
+            except (SpdzError, ValueError) as error:
+                self._note("refused", "refused", error)
+                self._desk.stop.wait(_SLOW)
+            except Exception as error:
+                self._note("refused", "bug", error)
+                self._desk.stop.wait(_SLOW)
+
+    def _once(self) -> bool:
+        """One connection; returns whether the peer was met."""
+        waiting: list[Any] = []
+        met = False
+        try:
+            with open_gallery(
+                self._tape,
+                self._terms,
+                waiting=waiting,
+                reach=self._reach,
+                timeout=self._desk.timeout,
+                state_dir=self._desk.state_dir,
+                on_event=self._teller.tell,
+            ) as session:
+                met = True
+                self._state, self._why = "connected", ""
+                self._tell("connected", f"connected to {self.peer}")
+                self._turns.begin(session, waiting)
+                while self._turns.take(session):
+                    self._wait(session)
+                self._note_left()
+        except OutOfStep as error:
+            self._lost(error, met)
+        except ChannelError as error:
+            if isinstance(error, PeerAborted) and not error.passing and "tape" in str(error):
+                raise
+            self._lost(error, met)
+        return met
+
+    def _wait(self, session: Any) -> None:
+        """Idle until there is a reason for a turn."""
+        seconds = self._turns.pause(HEARTBEAT)
+        if seconds > 0 and not self._desk.stop.is_set():
+            session.await_peer(seconds, self._wake.fileno())
+        self._wake.clear()
+
+    def _resting(self) -> bool:
+        """Whether the peer has too many strikes; then wait until they are forgiven."""
+        strikes = self._peer.strikes.reasons
+        if len(strikes) < self._desk.strikes:
+            return False
+        if self._state != "stopped":
+            self._state, self._why = "stopped", strikes[-1]
+            self._tell(
+                "stopped",
+                f"{self.peer} has {len(strikes)} strikes (the last: {strikes[-1]}): it is not compared with "
+                f"until you say so: python -m spdz agent --forgive {self.peer}, or agent.forgive()",
+                strikes=len(strikes),
+            )
+        self._desk.stop.wait(1.0)
+        return True
+
+    # -- telling -------------------------------------------------------------------------------------
+
+    def _note_left(self) -> None:
+        if not self._desk.stop.is_set():
+            self._state, self._why = "waiting", f"{self.peer} has ended"
+            self._tell("left", f"{self.peer} has ended")
+
+    def _lost(self, error: SpdzError, met: bool) -> None:
+        if self._desk.stop.is_set():
+            return
+        self._state, self._why = "waiting", str(error)
+        if met:
+            self._tell("lost", f"lost {self.peer}: {error}")
+        else:
+            self._teller.tell(str(error))
+
+    def _hold_against(self, error: ProtocolViolation) -> None:
+        self._note("refused", "violation", error)
+        self._peer.strikes.add(str(error))
+
+    def _note(self, state: str, name: str, error: Exception) -> None:
+        """Tell an error, once as long as it is the same."""
+        text = f"{type(error).__name__}: {error}"
+        if (state, text) != (self._state, self._why):
+            self._state, self._why = state, text
+            self._tell(name, f"{self.gallery} with {self.peer}: {text}", error=type(error).__name__)
+
+    def _tell(self, name: str, text: str, **fields: object) -> None:
+        self._desk.tell(name, text, self.peer, self.gallery, **fields)

@@ -1,0 +1,69 @@
+"""The thread that runs the user's verification, one match at a time, while the galleries go on."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import TypeAlias
+
+from protocols.agent.desk import Desk
+from protocols.agent.keyframe import Meeting, Verdict
+
+Settle: TypeAlias = Callable[[Verdict], None]
+_Case: TypeAlias = tuple[int, Meeting, Settle]
+
+
+class Verifier:
+    """Gives verdicts of matches that both robots have shown each other.
+
+    Args:
+        desk: The agent's.
+    """
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._waiting: queue.SimpleQueue[_Case | None] = queue.SimpleQueue()
+        self._known: set[int] = set()
+        self._thread = threading.Thread(target=self._run, name="spdz verifier", daemon=True)
+        self._thread.start()
+
+    def judge(self, match: int, meeting: Meeting, settle: Settle) -> None:
+        """Have a match verified, unless it is being verified already.
+
+        Args:
+            match: Its number.
+            meeting: What the verification sees.
+            settle: Takes the verdict, in this thread.
+        """
+        if match not in self._known:
+            self._known.add(match)
+            self._waiting.put((match, meeting, settle))
+
+    def close(self, seconds: float) -> None:
+        """End after the verification under way, or leave it behind after some seconds."""
+        self._waiting.put(None)
+        self._thread.join(seconds)
+
+    def _run(self) -> None:
+        while (entry := self._waiting.get()) is not None and not self._desk.stop.is_set():
+            match, meeting, settle = entry
+            try:
+                settle(self._verdict(meeting))
+            except OSError as error:  # it is judged again on the next connection
+                self._desk.tell("records", f"a verdict is lost: {error}", meeting.peer, meeting.gallery)
+                self._known.discard(match)
+
+    def _verdict(self, meeting: Meeting) -> Verdict:
+        verify = self._desk.verify
+        if verify is None:
+            return Verdict(True, "not looked at: no verification was given")
+        try:
+            verdict = verify(meeting)
+            if not isinstance(verdict, Verdict):
+                raise TypeError(f"it returned {type(verdict).__name__}, not a Verdict")
+        except Exception as error:  # the peer's payload can be anything, and the agent goes on
+            why = f"the verification failed: {type(error).__name__}: {error}"
+            self._desk.tell("verification", why, meeting.peer, meeting.gallery, keyframe=meeting.own.id)
+            return Verdict(False, why[:200])
+        return verdict

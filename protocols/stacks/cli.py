@@ -1,0 +1,278 @@
+"""``python -m spdz ros``: an agent on a robot's ROS graph; ``python -m spdz replay``: one fed from a bag."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from protocols.agent import Agent, Event, Match
+from protocols.agent.options import peer_address, say_event, verify_function
+from protocols.mission import Folder
+from protocols.stacks.bag import Bag
+from protocols.stacks.bridge import Bridge
+from protocols.stacks.dds import Dds
+from protocols.stacks.messages import KEYFRAMES
+from protocols.stacks.replay import Replay
+from protocols.stacks.role import role_of
+from protocols.stacks.swarm_slam import SwarmSlam
+from protocols.stacks.topics import Topics, check_domain, remapped, topics
+from protocols.stacks.transport import Transport
+from protocols.stacks.zenoh import Zenoh
+from spdz.console.command import say_error
+from spdz.foundations.errors import SpdzError
+
+_ROS = """\
+Takes the place of Swarm-SLAM's loop-closure detection node: reads this robot's own descriptors
+(cslam_common_interfaces/msg/GlobalDescriptors), compares them privately with those of the peers, and
+publishes /cslam/inter_robot_matches and /cslam/inter_robot_loop_closure. No ROS is needed here.
+docs/swarm-slam.md has topics, types and QoS, and what to change in a launch file.
+
+DDS is bound to the loopback interface unless CYCLONEDDS_URI is set; a Zenoh session meets the robot's own
+router unless ZENOH_SESSION_CONFIG_URI is set. Where the graph reaches other robots too, add --shared-graph.
+
+example, for the robot whose nodes are in the namespace /r0:
+  python -m spdz ros --mission mission/alice --namespace /r0 --verify my_verification:verify
+"""
+
+_REPLAY = """\
+Reads cslam_common_interfaces/msg/GlobalDescriptors from a bag of ROS 2 (or ROS 1) and gives those of this
+robot to its agent, at the pace of the recording. No ROS is needed.
+
+example, in two terminals, with one bag in which both robots were recorded:
+  python -m spdz replay run.bag --mission mission/alice --speed 10 --listen 127.0.0.1:9000
+  python -m spdz replay run.bag --mission mission/bob --speed 10 --peer alice=127.0.0.1:9000
+"""
+
+
+def add_ros(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the ``ros`` command."""
+    arguments = commands.add_parser(
+        "ros",
+        help="match a ROS 2 robot's keyframes privately, in place of Swarm-SLAM's detection node",
+        description="Runs one robot's agent on its ROS 2 graph.",
+        epilog=_ROS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = arguments.add_argument
+    add("--transport", choices=("dds", "zenoh"), default="dds", help="what the graph is on (dds)")
+    add("--namespace", default="/", metavar="/r0", help="the robot's namespace (/)")
+    add("--domain", type=int, metavar="N", help="the ROS domain (default: ROS_DOMAIN_ID, or 0)")
+    add(
+        "--remap",
+        action="append",
+        default=[],
+        metavar="NAME:=TOPIC",
+        help="another topic in the place of one, as in ROS; relative names are in the namespace",
+    )
+    add(
+        "--keys",
+        choices=("rmw", "bridge"),
+        default="rmw",
+        help="zenoh: rmw_zenoh's keys, or zenoh-bridge-ros2dds's",
+    )
+    add(
+        "--announce",
+        choices=("verified", "candidate"),
+        default="verified",
+        help="which matches are published",
+    )
+    add(
+        "--shared-graph",
+        action="store_true",
+        help="the graph reaches other robots: one robot publishes a closure",
+    )
+    _add_common(add)
+    arguments.set_defaults(run=run_ros)
+
+
+def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the ``replay`` command."""
+    arguments = commands.add_parser(
+        "replay",
+        help="match recorded keyframes privately, from a ROS bag",
+        description="Feeds one robot's agent from a bag.",
+        epilog=_REPLAY,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = arguments.add_argument
+    add("bag", type=Path, metavar="BAG", help="the bag's folder or file")
+    add(
+        "--topic",
+        metavar="TOPIC",
+        help="read descriptors from this topic alone (default: from all that have them)",
+    )
+    add("--speed", type=_speed, default=1.0, metavar="X", help="times the recorded pace, or max (1)")
+    add(
+        "--until-quiet",
+        dest="quiet_seconds",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="after the last message, end when all is compared and nothing new has come for so long (10)",
+    )
+    _add_common(add)
+    arguments.set_defaults(run=run_replay)
+
+
+def _add_common(add: Callable[..., Any]) -> None:
+    add(
+        "--mission",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="this robot's folder, such as mission/alice",
+    )
+    add("--descriptor", metavar="NAME", help="the plan's name of the descriptors (default: its only one)")
+    add("--normalise", action="store_true", help="divide each descriptor by its norm: S10 is then the cosine")
+    add(
+        "--payload",
+        choices=tuple(KEYFRAMES),
+        help="what a peer is shown of a match: this message of the keyframe",
+    )
+    add("--verify", metavar="MODULE:FUNCTION", help="what says whether two keyframes show the same place")
+    add("--listen", metavar="HOST:PORT", help="the agent's one port for all peers (default: the plan's)")
+    add(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME=HOST:PORT",
+        help="where a peer listens, if not as planned",
+    )
+    add("--json", action="store_true", help="every event and match as one JSON object a line")
+    add("--quiet", action="store_true", help="matches alone")
+
+
+def run_ros(options: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+
+    def work(agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
+        names = topics(options.namespace, **remapped(options.remap))
+        transport = _transport(options, names)
+        _tell(options, "joined", f"reading {names.descriptors}: {transport.where}")
+        try:
+            Bridge(
+                agent,
+                adapter,
+                transport,
+                names,
+                say=lambda sentence: _tell(options, "waiting", sentence),
+                show=lambda match: _show(options, match),
+            ).run(ended)
+        finally:
+            transport.close()
+
+    return _run(options, "python -m spdz ros", work, announce=options.announce, shared=options.shared_graph)
+
+
+def run_replay(options: argparse.Namespace) -> int:
+    """Run the command; returns the exit status."""
+
+    def work(agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
+        bag = Bag(options.bag, options.topic, _payload(options))
+        try:
+            _tell(options, "reading", f"reading {', '.join(bag.topics)} of {bag.path}")
+            replay = Replay(agent, adapter, options.speed, show=lambda match: _show(options, match))
+            replay.feed(bag, ended)
+        finally:
+            bag.close()
+        _tell(options, "fed", f"{adapter.counts['added']} keyframes of the bag are with the agent")
+        replay.linger(options.quiet_seconds, ended)
+
+    return _run(options, "python -m spdz replay", work, team=True)
+
+
+def _run(
+    options: argparse.Namespace,
+    name: str,
+    work: Callable[[Agent, SwarmSlam, threading.Event], None],
+    **how: Any,
+) -> int:
+    """An agent with its adapter, from the folder to the last sentence."""
+    ended = threading.Event()
+    try:
+        folder = Folder.open(options.mission)
+        role = role_of(folder.mission, folder.robot, options.descriptor)
+        with Agent(
+            options.mission,
+            verify=verify_function(options.verify),
+            listen=options.listen,
+            peers=dict(map(peer_address, options.peer)),
+        ) as agent:
+            adapter = SwarmSlam(
+                agent,
+                role,
+                normalise=options.normalise,
+                payloads=options.payload is not None,
+                on_event=lambda sentence: _tell(options, "refused", sentence),
+                **how,
+            )
+            teller = threading.Thread(target=_tell_events, args=(agent, options), daemon=True)
+            teller.start()
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, lambda *_: ended.set())
+            work(agent, adapter, ended)
+        teller.join(timeout=5.0)
+        _report(options, adapter.report(agent.status()))
+    except (ValueError, OSError, SpdzError) as error:
+        say_error(name, type(error).__name__, str(error), as_json=options.json)
+        return 1 if isinstance(error, SpdzError) else 2
+    return 0
+
+
+def _transport(options: argparse.Namespace, names: Topics) -> Transport:
+    domain = options.domain
+    if domain is None:
+        text = os.environ.get("ROS_DOMAIN_ID", "0")
+        if not (text.isascii() and text.isdigit()):
+            raise ValueError(f"ROS_DOMAIN_ID is a number, not {text!r:.40}")
+        domain = int(text)
+    check_domain(domain)
+    if options.transport == "zenoh":
+        return Zenoh(names, domain, payload=_payload(options), keys=options.keys)
+    return Dds(names, domain, payload=_payload(options))
+
+
+def _payload(options: argparse.Namespace) -> type | None:
+    return None if options.payload is None else KEYFRAMES[options.payload]
+
+
+def _speed(text: str) -> float:
+    return math.inf if text == "max" else float(text)
+
+
+def _tell_events(agent: Agent, options: argparse.Namespace) -> None:
+    from protocols.agent.events import MATCH_STATES
+
+    for event in agent.events():
+        if event.name not in MATCH_STATES:
+            say_event(event, as_json=options.json, quiet=options.quiet)
+
+
+def _tell(options: argparse.Namespace, name: str, sentence: str) -> None:
+    say_event(Event(name, sentence), as_json=options.json, quiet=options.quiet)
+
+
+def _show(options: argparse.Namespace, match: Any) -> None:
+    shown: Match = match
+    print(json.dumps(Event.of(shown).as_json()) if options.json else shown, flush=True)
+
+
+def _report(options: argparse.Namespace, report: dict[str, Any]) -> None:
+    if options.json:
+        print(json.dumps({"event": "report", **report}), flush=True)
+    elif not options.quiet:
+        counts = ", ".join(f"{count} {what}" for what, count in report["counts"].items() if count)
+        print(f"in all: {counts or 'nothing came'}", file=sys.stderr)
+        for peer, states in report["matches"].items():
+            found = ", ".join(f"{count} {state}" for state, count in states.items())
+            print(f"matches with {peer}: {found or 'none'}", file=sys.stderr)
+        for why in report["why"].values():
+            print(why["text"], file=sys.stderr)

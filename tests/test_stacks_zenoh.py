@@ -1,0 +1,183 @@
+"""An agent on a ROS 2 graph over Zenoh: the same adapter, keys and attachments as rmw_zenoh has them."""
+
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+from stack_helpers import ROLE, FakeAgent, News, cloud, descriptors, unit
+
+pytest.importorskip("zenoh", reason="needs eclipse-zenoh: pip install 'spdz[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+
+import zenoh
+
+from bench.parties import free_port
+from protocols.stacks.bridge import Bridge, give
+from protocols.stacks.codec import Codec
+from protocols.stacks.messages import (
+    GlobalDescriptors,
+    InterRobotLoopClosure,
+    InterRobotMatches,
+    KeyframePointCloud,
+    dds_name,
+)
+from protocols.stacks.swarm_slam import SwarmSlam
+from protocols.stacks.topics import topics
+from protocols.stacks.transport import Payload
+from protocols.stacks.zenoh import HUMBLE_HASH, Zenoh, attachment
+
+NAMES = topics("/r0")
+PATIENCE = 30.0
+CODEC = Codec()
+
+
+def session(**more):
+    quiet = {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
+    return json.dumps({"mode": "peer", "scouting": quiet, **more})
+
+
+class Graph:
+    """The robot's other nodes: one session that hears everything."""
+
+    def __init__(self, port):
+        self.heard = []
+        self.session = zenoh.open(
+            zenoh.Config.from_json5(session(listen={"endpoints": [f"tcp/127.0.0.1:{port}"]}))
+        )
+        self._all = self.session.declare_subscriber("**", self.heard.append)
+
+
+@pytest.fixture(params=["rmw", "bridge"])
+def keys(request):
+    return request.param
+
+
+@pytest.fixture
+def graph(keys):
+    """A transport and the graph that it is in."""
+    port = free_port()
+    others = Graph(port)
+    link = session(connect={"endpoints": [f"tcp/127.0.0.1:{port}"]}, listen={"endpoints": []})
+    transport = Zenoh(NAMES, 7, payload=KeyframePointCloud, keys=keys, session=link)
+    yield transport, others
+    transport.close()
+    others.session.close()
+
+
+def send(others, keys, topic, message, *, type_hash="RIHS01_0123", domain=7, heard=True):
+    """Write a message as one of the robot's other nodes does, once somebody listens."""
+    data = message if isinstance(message, bytes) else CODEC.encode(message)
+    kind = GlobalDescriptors if isinstance(message, bytes) else type(message)
+    key = topic[1:] if keys == "bridge" else f"{domain}{topic}/{dds_name(kind)}/{type_hash}"
+    publisher = others.session.declare_publisher(key)
+    if heard:
+        wait_for(lambda: publisher.matching_status)
+    publisher.put(data)
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def take(transport, count):
+    found = []
+    wait_for(lambda: found.extend(transport.take(0.05)) or len(found) >= count)
+    return found
+
+
+def test_descriptors_and_keyframe_data_go_to_the_agent(graph, keys):
+    transport, others = graph
+    send(others, keys, NAMES.keyframes, cloud(3))
+    send(others, keys, NAMES.descriptors, descriptors(3))
+    agent = FakeAgent()
+    slam = SwarmSlam(agent, ROLE, payloads=True)
+    for message in take(transport, 2):
+        give(slam, message)
+    np.testing.assert_array_equal(agent.added[3][0], unit(3))
+    assert agent.added[3][1] == CODEC.encode(cloud(3))
+
+
+@pytest.mark.parametrize("keys", ["rmw"], indirect=True)
+@pytest.mark.parametrize("type_hash", ["RIHS01_0123", HUMBLE_HASH])
+def test_the_types_hash_of_any_distribution_is_heard(graph, keys, type_hash):
+    transport, others = graph
+    send(others, keys, NAMES.descriptors, descriptors(3), type_hash=type_hash)
+    assert take(transport, 1)[0].descriptors[0].keyframe_id == 3
+
+
+@pytest.mark.parametrize("keys", ["rmw"], indirect=True)
+def test_another_domain_is_not_heard(graph, keys):
+    transport, others = graph
+    send(others, keys, NAMES.descriptors, descriptors(3), domain=8, heard=False)
+    send(others, keys, NAMES.descriptors, descriptors(4))
+    assert take(transport, 1)[0].descriptors[0].keyframe_id == 4
+
+
+def test_bytes_that_are_no_message_are_refused_and_the_next_message_is_taken(graph, keys):
+    transport, others = graph
+    send(others, keys, NAMES.descriptors, b"junk")
+    send(others, keys, NAMES.descriptors, descriptors(3))
+    refused, message = take(transport, 2)
+    assert isinstance(refused, ValueError) and message.descriptors[0].keyframe_id == 3
+
+
+def test_matches_and_closures_are_all_that_is_published(graph, keys):
+    transport, others = graph
+    agent = FakeAgent(news=[News(1, 1, transform=(1.0, 2.0, 0.5), weight=0.9)])
+    agent.add(3, {"lidar": unit(3)}, payload=b"what the robot saw")
+    bridge = Bridge(agent, SwarmSlam(agent, ROLE), transport, NAMES)
+    each = 2 if keys == "rmw" else 1  # with either form of the type's hash
+    wait_for(lambda: bridge.step(0.05) or len(others.heard) >= 2 * each)
+    heard = {str(sample.key_expr) for sample in others.heard}
+    if keys == "rmw":
+        assert heard == {
+            f"7{name}/{dds_name(kind)}/{type_hash}"
+            for name, kind in ((NAMES.matches, InterRobotMatches), (NAMES.closures, InterRobotLoopClosure))
+            for type_hash in (CODEC.type_hash(kind), HUMBLE_HASH)
+        }
+    else:
+        assert heard == {"cslam/inter_robot_matches", "cslam/inter_robot_loop_closure"}
+    kinds = {"matches": InterRobotMatches, "closure": InterRobotLoopClosure}
+    for sample in others.heard:
+        data = sample.payload.to_bytes()
+        kind = kinds["closure" if "loop_closure" in str(sample.key_expr) else "matches"]
+        assert CODEC.encode(CODEC.decode(kind, data)) == data
+        assert sample.congestion_control == zenoh.CongestionControl.BLOCK
+        number, _, size, gid = struct.unpack("<qqB16s", sample.attachment.to_bytes())
+        assert number >= 1 and size == len(gid) == 16
+
+
+def test_only_public_messages_are_published(graph):
+    transport, _ = graph
+    for message in (descriptors(3), cloud(3), Payload(3, b"scan"), b"scan"):
+        with pytest.raises(ValueError, match="is not published"):
+            transport.publish(message)
+
+
+def test_the_attachment_is_zenoh_s_serialization_of_two_integers_and_bytes():
+    gid = bytes(range(16))
+    expected = zenoh.ext.z_serialize((zenoh.ext.Int64(5), zenoh.ext.Int64(-3), gid)).to_bytes()
+    assert attachment(5, -3, gid) == expected
+
+
+def test_what_comes_faster_than_it_is_taken_is_lost_with_a_word(graph, monkeypatch):
+    transport, _ = graph
+    monkeypatch.setattr("protocols.stacks.zenoh._FULL", 1e-3)
+    data = CODEC.encode(descriptors(3))
+    for _ in range(103):
+        transport._heard(GlobalDescriptors, data)
+    *_, last = transport.take(0.01)
+    assert isinstance(last, ValueError) and "3 messages were lost" in str(last)
+
+
+def test_a_configuration_that_is_none_is_refused(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match="Zenoh configuration"):
+        Zenoh(NAMES, session="{ mode: 'nonsense' }")
+    monkeypatch.setenv("ZENOH_SESSION_CONFIG_URI", str(tmp_path / "none.json5"))
+    with pytest.raises(ValueError, match="Zenoh configuration"):
+        Zenoh(NAMES)
