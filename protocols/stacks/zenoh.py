@@ -170,7 +170,7 @@ class Zenoh:
 
     def has_reader(self) -> bool:
         """Whether anybody reads matches or loop closures."""
-        return any(one.matching_status for each in self._publishers.values() for one in each)
+        return any(one.matching_status.matching for each in self._publishers.values() for one in each)
 
     def close(self) -> None:
         """Close the session."""
