@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import bench.accuracy
+import bench.agents.cli
 import bench.gallery
 import bench.oracle
 from bench.pair import Measured, measure_clear, measure_secure
@@ -37,6 +38,7 @@ up, and reading the tape ahead (which expands the pads).
 many times ours that is. It was recorded on another machine: bytes compare exactly, times roughly.
 
 further commands, each with a --help of its own:
+  python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench accuracy    how far secure scores are from the true ones
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
@@ -48,6 +50,7 @@ examples:
 
 COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "accuracy": bench.accuracy.main,
+    "agents": bench.agents.cli.main,
     "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
 }

@@ -20,6 +20,7 @@ def parser() -> argparse.ArgumentParser:
     """The arguments of every command."""
     from bench.demo.cli import add_demo
     from protocols.agent.cli import add_agent
+    from protocols.check.cli import add_check
     from protocols.cli import add_match
     from protocols.stacks.cli import add_replay, add_ros
     from protocols.tape_cli import add_tape
@@ -35,6 +36,7 @@ def parser() -> argparse.ArgumentParser:
     add_ros(commands)
     add_replay(commands)
     add_tape(commands)
+    add_check(commands)
     add_demo(commands)
     arguments.add_argument("--version", action="version", version=f"spdz {__version__}")
     return arguments

@@ -92,6 +92,8 @@ class Insider:
         self._lie, self._forge, self._follow, self._bits = lie, forge, follow, bits
         self._number = 0
         self.lied = self._over = False
+        self.since = None
+        """The DATA exchange with its first lie."""
         self._advance(None)
 
     def answer(self, theirs, check=False):
@@ -107,7 +109,8 @@ class Insider:
         layout = Layout.of(self.request, self._bits, inputs=self._number == 0)
         own, honest = layout.numbers(b"".join(self.request.payload)), layout.numbers(theirs)
         said = self._lie(self._number, own, honest)
-        self.lied |= said != own
+        if said != own and not self.lied:
+            self.lied, self.since = True, self._number
         frame = layout.frame(said)
         self._ledger.absorb([frame], theirs)
         if self._follow and self._number and len(said) == len(own):
@@ -146,6 +149,7 @@ class Duel:
         sent: For each of its frames, how many numbers, or None for a check.
         bits: DATA exchanges in which nothing but bits is opened.
         lied: Whether the insider deviated at all.
+        since: The DATA exchange in which it first did; None of a check.
     """
 
     results: list[Any] = field(default_factory=list)
@@ -153,6 +157,7 @@ class Duel:
     sent: list[int | None] = field(default_factory=list)
     bits: set[int] = field(default_factory=set)
     lied: bool = False
+    since: int | None = None
 
     @property
     def accepted(self):
@@ -274,19 +279,20 @@ class Dealt:
         except SpdzError as error:
             duel.error = error
         finally:
-            duel.lied = insider.lied
+            duel.lied, duel.since = insider.lied, insider.since
             honest.close()
             insider.close()
         return duel
 
     def try_lie(self, evil, number, lie, *, follow=True, forge=own_hash, what=""):
-        """Whether it was a lie; if so, the first check after exchange ``number`` must have caught it."""
+        """Whether it was a lie, in ``number`` or later; if so, the first check after it has caught it."""
         duel = self.duel(evil, lie, follow=follow, forge=forge)
         what = f"{self.program}: party {evil} {'follows' if follow else 'denies'} {what} in {number}: {duel}"
         if duel.lied:
             assert duel.caught, what
             # A number that may have wrapped is checked at once.
-            assert len(duel.sent) <= self.honest.frames_until_checked(number), what
+            since = number if duel.since is None else duel.since
+            assert len(duel.sent) <= self.honest.frames_until_checked(since), what
         else:
             assert duel.accepted, what
         return duel.lied

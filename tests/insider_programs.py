@@ -14,6 +14,7 @@ from spdz import (
     absolute,
     beaver_dot,
     beaver_multiply,
+    decided,
     divide,
     dot,
     l1_normalised,
@@ -148,10 +149,19 @@ async def counted(engine, x, y):
     return (await nonnegative(multiply(x, y))).sum()
 
 
+async def of_decided(engine, x, y):
+    """Comparisons that are opened masked, and compared once more; nothing is opened before the first."""
+    (larger,) = await decided(await nonnegative(x - y))
+    (count,) = await mask(larger * 2 + x)
+    (again,) = await decided(await nonnegative(count - 1))
+    return again + larger
+
+
 GATES_AND_FUNCTIONS = {
     "absolute": of_absolute,
     "beaver_dot": of_beaver_dot,
     "beaver_multiply": of_beaver_multiply,
+    "decided": of_decided,
     "divide": of_divide,
     "dot": of_dot,
     "l1_normalised": of_l1_normalised,

@@ -15,7 +15,19 @@ PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PACKAGES = ("spdz", "protocols", "dealer", "bench")
 DOORS = {"spdz.__main__", "spdz.dealer", "spdz.local"}
 BASE_DEPENDENCIES = {"numpy", "gmpy2", "cryptography", "threadpoolctl", "tomli"}
-OPTIONAL = {"rich", "distributed", "cyclonedds", "zenoh", "rosbags"}
+OPTIONAL = {
+    "cyclonedds",
+    "distributed",
+    "gtsam",
+    "ifaddr",
+    "matplotlib",
+    "rich",
+    "rosbags",
+    "scipy",
+    "zenoh",
+    "zeroconf",
+}
+"""Loaded inside functions only, outside of ``bench``."""
 LONGEST_FILE = 320
 
 

@@ -14,11 +14,13 @@ import pytest
 from bench.demo import dataset, places, scan_context
 from bench.demo.cli import NEEDS
 from bench.demo.dataset import Run
+from bench.demo.local_map import LocalMap
 from bench.demo.places import Robot, robots, truth
 from spdz.foundations.types import FloatArray
 
 ROOT = Path(__file__).resolve().parent.parent
-SCAN = "ROBOTLASER1 0 -1.570796 3.141593 1.570796 50.0 0.1 0 3 1.5 2.5 50.9 0 1 2 0.5 1 2 0.5"
+HITS = "0 3 1.5 2.5 50.9"
+SCAN = f"ROBOTLASER1 0 -1.570796 3.141593 1.570796 50.0 0.1 {HITS} 0 1 2 0.5 1 2 0.5 0 0 0 0 0 7.5 iB21 6.5"
 LOG = f"""#SEQUENTIAL EDGES
 VERTEX_SE2 0 1.0 2.0 0.5
 {SCAN}
@@ -40,7 +42,9 @@ def rng() -> np.random.Generator:
 
 def robot(positions: list[tuple[float, float]], turns: int = 1) -> Robot:
     n = len(positions) * turns
-    return Robot("bob", np.zeros((2, 2)), np.array(positions, dtype=np.float64), np.eye(n, 1200), turns)
+    positioned = np.array(positions, dtype=np.float64)
+    local = LocalMap(range(0), np.zeros((0, 3)), np.zeros(0, dtype=np.int64), ())
+    return Robot("bob", np.zeros((2, 2)), positioned, np.eye(n, 1200), turns, local=local)
 
 
 # --- the log ---------------------------------------------------------------------------------------------
@@ -50,6 +54,7 @@ def test_log_is_parsed_into_poses_scans_odometry_and_loops() -> None:
     run = dataset.parse(LOG.splitlines())
     np.testing.assert_array_equal(run.poses, [[1, 2, 0.5], [2, 2, 0.25], [3, 2, -0.25]])
     np.testing.assert_array_equal(run.ranges, [[1.5, 2.5, 50.9]] * 3)
+    np.testing.assert_array_equal(run.stamps, [7.5] * 3)
     np.testing.assert_allclose(run.bearings, [-np.pi / 2, 0, np.pi / 2], atol=1e-5)
     np.testing.assert_array_equal(run.odometry, [[0.9, -0.1, 0.01], [1.1, 0.1, 0.02]])
     np.testing.assert_array_equal(run.loops, [[0, 2]])
@@ -66,6 +71,7 @@ def test_log_is_parsed_into_poses_scans_odometry_and_loops() -> None:
         (f"\n\n{SCAN}", "\n", "one scan a vertex"),
         (f"\n\n{SCAN}", f"\n{SCAN.replace(' 1.570796 ', ' 0.7 ')}", "same beams"),
         (" 0 3 1.5", " 0 99 1.5", "line 3 .*99 readings"),
+        (" 7.5 iB21 6.5", "", "line 3 .*the time"),
         ("EDGE_SE2 1 2", "EDGE_SE2 0 2", r"odometry edge \(1, 2\)"),
     ],
 )
@@ -97,9 +103,12 @@ def demo(folder: Path, *words: str, without: str = "") -> "subprocess.CompletedP
     )
 
 
-@pytest.mark.parametrize("module", ["rtbdata", "matplotlib", "rich"])
+EXTRAS = {"rtbdata", "matplotlib", "rich", "scipy"}
+
+
+@pytest.mark.parametrize("module", sorted(EXTRAS))
 def test_missing_extra_is_told_with_a_command_that_installs_it(module: str, tmp_path: Path) -> None:
-    for other in {"rtbdata", "matplotlib", "rich"} - {module}:
+    for other in EXTRAS - {module}:
         pytest.importorskip(other)
     result = demo(tmp_path, without=module)
     assert result.returncode == 1 and not result.stdout and "Traceback" not in result.stderr
@@ -128,8 +137,9 @@ def test_folder_that_cannot_be_made_is_told_in_one_line(tmp_path: Path) -> None:
 def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rich")
     pytest.importorskip("matplotlib")
+    from bench.demo.merged import Errors
     from bench.demo.report import show
-    from bench.demo.run import Report
+    from bench.demo.result import Report
 
     report = Report(
         security="malicious",
@@ -139,8 +149,11 @@ def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str])
         pairs=99,
         candidates=31,
         clear_candidates=28,
+        verified=25,
         private_quality=places.Quality(0.9, 0.7, 21, 2),
         clear_quality=places.Quality(0.8, 0.6, 20, 3),
+        verified_quality=places.Quality(1.0, 0.6, 20, 0),
+        errors=Errors(2.3, 1.6, 43.7, 0.7, 0.6, 0.8, 0.5),
         disagreements=3,
         dealt_slots=(10, 12),
         dealing_seconds=0.5,
@@ -148,17 +161,22 @@ def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str])
         bytes_sent=(2000, 2000),
         rounds=20,
         milliseconds=100.0,
+        shown=(5, 6),
+        payload_bytes=(700, 800),
+        verifying_milliseconds=50.0,
         clear_bytes=(300, 300),
         clear_milliseconds=0.1,
+        page="index.html",
         picture="map.png",
+        files=("map.png",),
     )
     show(report, 100)
     shown = capsys.readouterr().out
     assert re.search(r"│ a vector's norm +│ at most 1, as was proved │ yes ", shown)
-    found = re.findall(r"│ (.*?) +│ +(\d+) │ +(\d+) │", shown)
-    rows = {label: (int(private), int(clear)) for label, private, clear in found}
+    found = re.findall(r"│ (.*?) +│ +(\d+) │ +(\d+) │ +(\d+) │", shown)
+    rows = {label: (int(private), int(clear), int(verified)) for label, private, clear, verified in found}
     parts = ("same place by the pose graph", "1 to 4 m apart, not counted", "another place")
-    assert [sum(column) for column in zip(*(rows[part] for part in parts), strict=True)] == [31, 28]
+    assert [sum(column) for column in zip(*(rows[part] for part in parts), strict=True)] == [31, 28, 25]
 
 
 # --- descriptors -----------------------------------------------------------------------------------------
@@ -330,16 +348,19 @@ def test_robots_refuse_a_run_without_public_map() -> None:
         robots(dataset.parse(LOG.splitlines()), turns=2)
 
 
-def test_picture_is_written_without_touching_pyplot(
+def test_pictures_are_written_without_touching_pyplot(
     run: Run, pair: tuple[Robot, Robot], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib")
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    from bench.demo.picture import draw_map
+    from bench.demo.picture import draw_before, draw_merged
+    from bench.demo.scene import views
 
-    alice, bob = pair
-    decisions = bob.fold(alice.descriptors @ bob.descriptors.T >= places.DEFAULT_THRESHOLD)
-    draw_map(tmp_path / "map.png", run, alice, bob, decisions, truth(alice, bob))
-    data = (tmp_path / "map.png").read_bytes()
-    assert data.startswith(b"\x89PNG") and len(data) > 50_000
-    draw_map(tmp_path / "none.png", run, alice, bob, np.zeros_like(decisions), truth(alice, bob))
+    local = [robot.local for robot in pair]
+    shown = views(run, local, [own.poses for own in local])
+    for pairs in ([(1, 73), (2, 74)], []):
+        draw_merged(tmp_path / "map.png", shown, pairs, "a line")
+        data = (tmp_path / "map.png").read_bytes()
+        assert data.startswith(b"\x89PNG") and 50_000 < len(data) < 300_000
+    draw_before(tmp_path / "before.png", shown, "a line")
+    assert (tmp_path / "before.png").read_bytes().startswith(b"\x89PNG")

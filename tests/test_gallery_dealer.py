@@ -15,8 +15,9 @@ from dealer import cli, folders, gallery_cli, gallery_mission, gallery_plan
 from dealer.gallery_limits import gallery_memory
 from dealer.gallery_mission import deal_galleries, gallery_mission_bytes, headers_for
 from dealer.gallery_plan import Seconds, gallery_cost
-from protocols import memory
+from protocols import Part, PlacePurpose, memory
 from protocols.catalog import GalleryPurpose
+from protocols.place_purpose import purpose_of
 from protocols.scores import SCORES
 from spdz.channels.frames import HEADER_BYTES
 from spdz.foundations.errors import Unsent
@@ -26,6 +27,7 @@ from spdz.rounds.mac_check import DIGEST_BYTES
 from spdz.tape.envelope import SECTOR
 
 AGENTS = ("alice", "bob")
+PLACE = PlacePurpose((Part("lidar", "S10", 4, 2), Part("depth", "S6", 3, max_norm=2.0)), "all")
 SECURITIES = ["malicious", "semi-honest"]
 
 
@@ -51,6 +53,7 @@ def unit(rows, dim, seed=0):
         (GalleryPurpose("S2", 4), (4, 3)),
         (GalleryPurpose("S4", 4, max_norm=9.0), (2, 3)),
         (GalleryPurpose("S7", 4), (3, 20)),
+        (PLACE, (17, 3)),
     ],
     ids=lambda value: value.score if isinstance(value, GalleryPurpose) else None,
 )
@@ -70,14 +73,20 @@ def test_tapes_are_as_large_as_the_plan_says(tmp_path, purpose, slots, security)
             frame = (sum(bands) + 3) * SECTOR + bands[0] * bands[1] * TAG
             assert 0 <= larger - of_slots - rows * columns * cost.pair_tape_bytes <= frame
             assert tape.header.capacity == cost.capacity and tape.header.slots == slots
-            assert GalleryPurpose.from_json(tape.header.program) == purpose
+            assert purpose_of(tape.header.program) == purpose
 
 
-@pytest.mark.parametrize("name", ["S10", "S6", "S8", "S3"])
-@pytest.mark.parametrize("reveal", ["bit", "score"])
-def test_bytes_sent_are_those_that_the_plan_says(tmp_path, name, reveal):
+OPENED = {
+    f"{reveal} of {name}": GalleryPurpose(name, 6, reveal, proof=False)
+    for name in ("S10", "S6", "S8", "S3")
+    for reveal in ("bit", "score")
+}
+
+
+@pytest.mark.parametrize("what", [*OPENED, "places"])
+def test_bytes_sent_are_those_that_the_plan_says(tmp_path, what):
     """Checks are the rounds that the malicious mode has more, where norms are not proved."""
-    purpose, slots = GalleryPurpose(name, 6, reveal, proof=False), (8, 16)
+    purpose, slots = OPENED.get(what, replace(PLACE, proof=False)), (8, 16)
     costs = {s: gallery_cost(AGENTS, purpose, slots, s, timed=False) for s in SECURITIES}
     rounds = {}
     for security in reversed(SECURITIES):

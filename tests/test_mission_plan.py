@@ -110,7 +110,8 @@ def test_every_kind_makes_a_gallery_with_a_threshold_that_makes_sense(load, name
 def test_every_field_overrides_the_preset(load):
     text = PLAN.replace(
         'kind = "D5"',
-        'kind = "D5"\nscore = "S6"\ndim = 20\nthreshold = 0.5\nresolution = "2^-20"\nmax_norm = 3\nmin_norm = 0.5',
+        'kind = "D5"\nscore = "S6"\ndim = 20\nthreshold = 0.5\nresolution = "2^-20"\nmax_norm = 3\n'
+        "min_norm = 0.5",
     )
     one = load(text).descriptor("lidar")
     purpose = one.purpose
@@ -244,7 +245,7 @@ def test_what_is_no_plan_is_told(load, text, line, says):
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(PlanError, match="mission.toml: cannot be read: No such file"):
+    with pytest.raises(PlanError, match=r"mission.toml: cannot be read: No such file"):
         Mission.load(tmp_path / "mission.toml")
 
 
@@ -262,7 +263,7 @@ def test_json_that_is_no_mission_is_refused(values):
 
 @pytest.mark.parametrize("ask", [Mission.agent, Mission.peers, Mission.descriptor, Mission.gallery])
 def test_asking_for_what_the_plan_has_not_names_what_it_has(load, ask):
-    with pytest.raises(ValueError, match="there are|did you mean"):
+    with pytest.raises(ValueError, match=r"there are|did you mean"):
         ask(load(PLAN), "lidat")
 
 
@@ -306,5 +307,90 @@ def test_a_bad_descriptor_is_refused_by_name(camera, descriptors, says):
 def test_a_descriptor_that_was_not_normalised_is_refused(load):
     lidar = load(PLAN).gallery("lidar")
     lidar.vector({"lidar": np.full(1200, 1200**-0.5)})
-    with pytest.raises(ValueError, match="lidar: .* shorter than 0.99"):
+    with pytest.raises(ValueError, match=r"lidar: .* shorter than 0.99"):
         lidar.vector({"lidar": np.full(1200, 0.01)})
+
+
+# -- several descriptors a place --------------------------------------------------------------------------
+
+PLACES = (
+    PLAN.replace('resolution = "exact"\n', "").replace(
+        "keyframes = 300", "keyframes = 300\nturns = 3\ndim = 8"
+    )
+    + """
+[descriptors.key]
+kind = "D5-key"
+keyframes = 5
+
+[places.everywhere]
+of = ["camera", "lidar"]
+rule = "all"
+"""
+)
+
+
+def test_a_place_is_one_gallery_with_its_descriptors_in_the_order_of_the_plan(load):
+    mission = load(PLACES)
+    assert [one.name for one in mission.galleries] == ["key", "everywhere"]
+    place = mission.gallery("everywhere")
+    assert [one.name for one in place.descriptors] == ["camera", "lidar"] and place.rule == "all"
+    assert place.keyframes == {"alice": 300, "bob": 300, "carol": 300}  # the most of its descriptors
+    terms = place.terms("malicious")
+    assert terms.dim == 64 + 3 * 8
+    assert terms.rule == "all of camera S8 >= 0.75, lidar S10 >= 0.42 (3 turns), to 2^-16"
+    assert place.description()["gallery"] == "everywhere"
+    assert Mission.from_json(mission.as_json()) == mission
+    assert load(PLACES.replace('"all"', '"any"')).digest != mission.digest
+
+
+def test_a_place_holds_turn_after_turn(load):
+    turns, camera = np.eye(3, 8), np.linspace(-0.1, 0.1, 64)
+    place = load(PLACES).gallery("everywhere")
+    slot = place.vector({"lidar": turns, "camera": camera})
+    assert np.array_equal(slot, np.concatenate([camera, turns.reshape(-1)]))
+    with pytest.raises(ValueError, match=r"lidar: expected an array of shape \(3, 8\), got \(8,\)"):
+        place.vector({"lidar": turns[0], "camera": camera})
+    with pytest.raises(ValueError, match=r"lidar: .* norm above 1"):
+        place.vector({"lidar": turns * [[1], [1], [1.1]], "camera": camera})
+    with pytest.raises(ValueError, match="lidar is missing: everywhere takes camera, lidar"):
+        place.vector({"camera": camera})
+
+
+def test_a_descriptor_of_several_turns_may_stand_alone(load):
+    mission = load(PLACES.partition("[places")[0])
+    lidar = mission.gallery("lidar")
+    assert lidar.terms("malicious").dim == 24 and not lidar.is_place
+    assert lidar.vector({"lidar": np.eye(3, 8)}).shape == (24,)
+    assert Mission.from_json(mission.as_json()) == mission
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "field", "says"),
+    [
+        ('"camera", "lidar"]', '"camera", "lidra"]', "places.everywhere.of", "did you mean 'lidar'?"),
+        ('"camera", "lidar"]', '"camera", "camera"]', "places.everywhere.of", "is in the place 'everywhere'"),
+        ('["camera", "lidar"]', "[]", "places.everywhere.of", "at least one descriptor"),
+        ('["camera", "lidar"]', '"lidar"', "places.everywhere.of", "a list of texts"),
+        ('"all"', '"most"', "places.everywhere.rule", "'any', 'all'"),
+        ('rule = "all"', "", "places.everywhere", "rule is missing"),
+        ("[places.everywhere]", "[places.Lidar]", "places.Lidar", "is taken"),
+        (
+            "dim = 64",
+            'dim = 64\nresolution = "exact"',
+            "places.everywhere.of",
+            "camera has exact and lidar 2^-16",
+        ),
+        ("turns = 3", "turns = 3\nmax_norm = 4e6", "descriptors.lidar", "57 bits"),
+    ],
+)
+def test_a_place_that_cannot_be_is_told(load, before, after, field, says):
+    assert before in PLACES
+    error = refusal(load, PLACES.replace(before, after, 1))
+    assert error.field == field and says in str(error) and error.line
+
+
+def test_descriptors_that_fit_alone_may_not_fit_a_place(load):
+    text = PLACES.replace("max_norm = 2.0", "max_norm = 200_000").replace("dim = 64", "dim = 2")
+    assert load(text.partition("[places")[0])
+    with pytest.raises(PlanError, match="57 bits"):
+        load(text.replace("dim = 8", "dim = 800_000"))

@@ -76,6 +76,17 @@ def test_an_interface_that_is_down_is_waited_for(folders, open_port, monkeypatch
         assert_alive(here, there)
 
 
+def test_an_address_that_becomes_forbidden_is_tried_again_and_told(open_port, monkeypatch):
+    address, told = free_address(), []
+    with monkeypatch.context() as patch:
+        broken_sockets(patch, "bind", errno.EADDRNOTAVAIL, "127.0.0.1")
+        port = open_port(address, on_event=told.append)
+        broken_sockets(patch, "bind", errno.EACCES, "127.0.0.1")
+        until(lambda: len(told) == 2)
+        assert told[1] == f"cannot listen on {address}: Permission denied; trying again"
+    until(lambda: port.addresses == [address])
+
+
 def test_an_address_that_can_never_be_listened_on_is_refused_at_once(open_port, monkeypatch):
     before = set(os.listdir("/dev/fd"))
     broken_sockets(monkeypatch, "bind", errno.EACCES, "127.0.0.1")
@@ -218,11 +229,14 @@ def test_a_fork_cannot_take_calls_and_does_not_disturb(folders, open_port):
         with pytest.raises(ChannelError, match="open one after the fork"):
             port.take("bob", "lidar", 0)
         port.close()
-        assert port._listener is None
-        for call in port._parking._calls.values():
+        assert port._listener.fileno() == port._awake.fileno() == -1
+        for call in (*port._parking._calls.values(), *waiting):
             assert call.stream.fileno() == -1
 
-    with port._parking._changed:  # as held by a thread that the child does not have
+    stranger = dial(port.addresses[0])
+    until(lambda: port._reception._visits)
+    waiting = [visit.caller for visit in port._reception._visits.values()]
+    with stranger, port._parking._changed:  # as held by a thread that the child does not have
         in_a_child(child)
     with port.take("bob", "lidar", 0) as here, caller.wait() as there:
         assert_alive(here, there)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import shlex
 import shutil
 import sys
 from pathlib import Path
 
-NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13")
+NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13", "scipy>=1.11")
 """The extra ``demo``."""
+SOLVERS: dict[str, tuple[str, ...]] = {"scipy": (), "gtsam": ("gtsam",)}
+"""What each solver needs beyond it."""
 
 
 def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -19,11 +22,13 @@ def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "demo",
         help="match real descriptors of two robots (needs the extra spdz[demo])",
         description="Deals tapes, starts two robots as separate processes that compare real laser-scan "
-        "descriptors over TLS on loopback, and shows what was found, what it cost and what leaked.",
+        "descriptors over TLS on loopback and verify what matched, merges both maps, and shows what was "
+        "found, what it cost and what leaked.",
     )
     add = arguments.add_argument
-    add("--out", type=Path, default=Path("demo-output"), metavar="DIR", help="where the picture goes")
+    add("--out", type=Path, default=Path("demo-output"), metavar="DIR", help="where the page goes")
     add("--security", choices=("malicious", "semi-honest"), default="malicious")
+    add("--solver", choices=tuple(SOLVERS), default="scipy", help="of the pose graph (default: scipy)")
     add("--json", action="store_true", help="one JSON object on standard output")
     arguments.set_defaults(run=_run)
 
@@ -31,14 +36,17 @@ def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 def _run(options: argparse.Namespace) -> int:
     """Run the demo; what it needs beyond the base install is imported here only."""
     try:
+        importlib.import_module("scipy")  # the solvers load it late, when both robots have done their work
+        importlib.import_module(options.solver)
+        from bench.demo.exchange import DemoFailed
         from bench.demo.report import show
-        from bench.demo.run import DemoFailed, run_demo
+        from bench.demo.run import run_demo
     except ImportError as error:
-        return _missing(error)
+        return _missing(error, options.solver)
     try:
-        report = run_demo(options.out, options.security)
+        report = run_demo(options.out, options.security, options.solver)
     except ImportError as error:
-        return _missing(error)
+        return _missing(error, options.solver)
     except (DemoFailed, OSError) as error:
         print(f"python -m spdz demo: {error}", file=sys.stderr)
         return 1
@@ -49,8 +57,8 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _missing(error: ImportError) -> int:
+def _missing(error: ImportError, solver: str) -> int:
     """Say what to install: the packages by name, which holds for a clone, an editable install and a wheel."""
-    command = shlex.join([sys.executable, "-m", "pip", "install", *NEEDS])
+    command = shlex.join([sys.executable, "-m", "pip", "install", *NEEDS, *SOLVERS[solver]])
     print(f"python -m spdz demo: {error}. The demo needs more than the engine: {command}", file=sys.stderr)
     return 1

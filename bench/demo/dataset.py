@@ -29,6 +29,8 @@ MEMBER = "killian.g2o"
 
 READINGS = 8
 """Position of the number of readings in a ``ROBOTLASER1`` record; the readings follow it."""
+STAMP = 12
+"""Fields after the readings: remissions (none), two poses of 3, five of the robot; then the time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +42,7 @@ class Run:
         ranges: ``(n, b)``; metres; readings near the scanner's limit (50 m) mean "nothing seen".
         bearings: ``(b,)``; radians, anticlockwise from the robot's heading.
         odometry: ``(n - 1, 3)``; the pose of scan i + 1 in the frame of scan i: metres, metres, radians.
+        stamps: ``(n,)``; seconds since 1970, of the scans.
         loops: ``(m, 2)``; pairs of scans that saw the same place, according to the pose graph.
         loop_poses: ``(m, 3)``; the pose of the second scan of each such pair in the frame of the first.
     """
@@ -48,6 +51,7 @@ class Run:
     ranges: FloatArray = field(repr=False)
     bearings: FloatArray = field(repr=False)
     odometry: FloatArray = field(repr=False)
+    stamps: FloatArray = field(repr=False)
     loops: IntArray = field(repr=False)
     loop_poses: FloatArray = field(repr=False)
 
@@ -83,6 +87,7 @@ def parse(lines: Iterable[str]) -> Run:
     """
     poses: list[list[float]] = []
     ranges: list[list[float]] = []
+    stamps: list[float] = []
     beams: set[tuple[float, float, int]] = set()
     edges: dict[tuple[int, int], list[float]] = {}
     for number, line in enumerate(lines, 1):
@@ -96,8 +101,9 @@ def parse(lines: Iterable[str]) -> Run:
             elif kind == "ROBOTLASER1" and len(poses) == len(ranges) + 1:
                 count = int(fields[READINGS])
                 beams.add((float(fields[2]), float(fields[4]), count))
-                if len(fields) <= READINGS + count:
-                    raise ValueError(f"expected {count} readings")
+                if len(fields) <= READINGS + count + 1 + STAMP:
+                    raise ValueError(f"expected {count} readings and the time")
+                stamps.append(float(fields[READINGS + count + 1 + STAMP]))
                 ranges.append([float(x) for x in fields[READINGS + 1 : READINGS + 1 + count]])
             elif kind == "EDGE_SE2":
                 edges[int(fields[1]), int(fields[2])] = [float(x) for x in fields[3:6]]
@@ -117,6 +123,7 @@ def parse(lines: Iterable[str]) -> Run:
         ranges=np.array(ranges).reshape(-1, count),
         bearings=np.asarray(first + resolution * np.arange(count), dtype=np.float64),
         odometry=np.array(odometry).reshape(-1, 3),
+        stamps=np.array(stamps, dtype=np.float64),
         loops=np.array(list(edges), dtype=np.int64).reshape(-1, 2),
         loop_poses=np.array(list(edges.values()), dtype=np.float64).reshape(-1, 3),
     )

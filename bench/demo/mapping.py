@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.demo.dataset import Run
 from bench.demo.scan_context import Background, polar_grid, scan_points, wall_direction
+from protocols.geometry.poses import chain
 from spdz.foundations.types import FloatArray, IntArray
 
 PUBLIC_FROM = 1800
@@ -72,15 +73,20 @@ def keyframes(run: Run, scans: range, spacing: float) -> IntArray:
 
 def dead_reckoning(run: Run, scans: range) -> FloatArray:
     """The robot's own poses: odometry from the origin, with the compass heading at the first scan."""
-    steps = run.odometry[scans.start : scans.stop - 1]
-    heading = np.concatenate([[0.0], np.cumsum(steps[:, 2])]) + run.poses[scans.start, 2]
-    moves = (steps[:, 0] + 1j * steps[:, 1]) * np.exp(1j * heading[:-1])
-    position = np.concatenate([[0.0], np.cumsum(moves)])
-    return np.stack([position.real, position.imag, heading], axis=1)
+    start = 0.0, 0.0, float(run.poses[scans.start, 2])
+    return chain(start, run.odometry[scans.start : scans.stop - 1])
 
 
 def submaps(run: Run, scans: range, poses: FloatArray, walls: float, at: IntArray) -> Iterator[FloatArray]:
-    """The points around keyframes, turned to the walls, with the keyframe at the origin.
+    """The points around keyframes, turned to the walls, with the keyframe at the origin: ``(k, 2)`` each."""
+    for submap, _ in directed_submaps(run, scans, poses, walls, at):
+        yield submap
+
+
+def directed_submaps(
+    run: Run, scans: range, poses: FloatArray, walls: float, at: IntArray
+) -> Iterator[tuple[FloatArray, float]]:
+    """Submaps around keyframes, and how each was turned.
 
     Args:
         run: From :func:`bench.demo.dataset.load`.
@@ -90,7 +96,8 @@ def submaps(run: Run, scans: range, poses: FloatArray, walls: float, at: IntArra
         at: Keyframes, counted from the first scan.
 
     Yields:
-        ``(k, 2)``, metres, without NaN; one for each keyframe.
+        For each keyframe the points, ``(k, 2)``, metres, without NaN, turned to the walls, the keyframe at
+        the origin; and the direction of the walls in the frame of the poses, in radians.
     """
     points, travelled = scan_points(run.ranges[scans], run.bearings, poses), travel(run, scans)
     for keyframe in at:
@@ -100,4 +107,4 @@ def submaps(run: Run, scans: range, poses: FloatArray, walls: float, at: IntArra
         direction = wall_direction(submap, walls)
         offsets = submap[np.isfinite(submap[..., 0])] - poses[keyframe, :2]
         turned = (offsets[:, 0] + 1j * offsets[:, 1]) * np.exp(-1j * direction)
-        yield np.stack([turned.real, turned.imag], axis=1)
+        yield np.stack([turned.real, turned.imag], axis=1), direction

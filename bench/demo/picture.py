@@ -1,155 +1,130 @@
-"""The picture of the demo: the building, both robots' paths, and what the private comparison found."""
+"""The demo's PNGs: both maps before they knew of each other, and the one that they made of it."""
 
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from bench.demo.dataset import Run
-from bench.demo.places import DIFFERENT, SAME, Robot
-from bench.demo.scan_context import scan_points, wall_direction
+from bench.demo.scene import CELL, View, seen_by_both, size
 from spdz.foundations.types import FloatArray
 
 # Okabe and Ito's palette: told apart with every kind of colour blindness.
-ALICE_BLUE, BOB_ORANGE, RIGHT_GREEN, WRONG_PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
-INK, WALL_GREY, MISSED_GREY = "#222222", "#8F959C", "#6B7075"
+ALICE_BLUE, BOB_ORANGE, RIGHT_GREEN = "#0072B2", "#E69F00", "#009E73"
+ALICE_WALL, BOB_WALL, BOTH_WALL = "#8DBCD9", "#F1CC80", "#40464D"
+INK = "#222222"
 
-RIGHT_RING, NEAR_RING, MISSED_RING = (12.0, 2.4), (11.0, 0.9), (9.0, 0.9)
-"""Diameter and line width of the rings, in points."""
-WIDTH, ABOVE, BELOW = 14.0, 1.0, 0.85
-"""Inches: of the picture, of the strip for the title, of the strip for the legend."""
-MARGIN = 9.0
-"""Metres of building shown around the robots' paths."""
-WALL_SQUARE = 0.15
-"""Side of a wall point, in metres: nearer points are drawn once."""
+WIDTH, ABOVE, BELOW = 14.0, 1.0, 0.55
+"""Inches: of a picture, of the strip for the title, of the strip for the legend."""
 SCALE_BAR = 20.0
 """Length of the scale bar in metres."""
+DOTS = 110
+"""Dots an inch."""
 
-Ends: TypeAlias = tuple[FloatArray, FloatArray]
-"""Alice's and Bob's keyframes, ``(n, 2)`` each, metres on the picture's axes."""
 
-
-def draw_map(
-    path: Path,
-    run: Run,
-    alice: Robot,
-    bob: Robot,
-    decisions: npt.NDArray[np.bool_],
-    truth: npt.NDArray[np.int8],
-) -> None:
-    """Draw one PNG, turned so that the walls are upright and the paths lie lengthwise.
+def draw_merged(path: Path, shown: Sequence[View], pairs: Collection[tuple[int, int]], subtitle: str) -> None:
+    """Draw the merged map as a PNG.
 
     Args:
         path: Where to write; the folder must exist.
-        run: The whole run; all its scans draw the building.
-        alice: From :func:`bench.demo.places.robots`.
-        bob: From :func:`bench.demo.places.robots`.
-        decisions: ``(n_alice, n_bob)``, folded: which pairs the robots were told match.
-        truth: ``(n_alice, n_bob)`` from :func:`bench.demo.places.truth`.
+        shown: Alice's and Bob's map in one frame.
+        pairs: Verified pairs of Alice's and Bob's keyframes.
+        subtitle: A line under the title.
     """
-    points = scan_points(run.ranges, run.bearings, run.poses)
-    upright = np.exp(-1j * wall_direction(points, 0.0))
-    span = np.ptp(_turn(np.concatenate([alice.trajectory, bob.trajectory]), upright), axis=0)
-    if span[1] > span[0]:
-        upright *= -1j
-    paths = _turn(alice.trajectory, upright), _turn(bob.trajectory, upright)
-    ends = _turn(alice.positions, upright), _turn(bob.positions, upright)
-    low = np.min([p.min(axis=0) for p in paths], axis=0) - MARGIN
-    high = np.max([p.max(axis=0) for p in paths], axis=0) + MARGIN
+    figure, (axes,), height = _figure([size(shown)])
+    alice, bob = shown
+    by_alice, by_bob, by_both = seen_by_both(alice, bob)
+    for walls, colour in ((by_alice, ALICE_WALL), (by_bob, BOB_WALL), (by_both, BOTH_WALL)):
+        _walls(axes, walls, colour)
+    _trail(axes, alice, ALICE_BLUE, 3.4)
+    _trail(axes, bob, BOB_ORANGE, 1.7)
+    middles = np.array([(alice.places[i] + bob.places[j]) / 2 for i, j in pairs]).reshape(-1, 2)
+    axes.plot(
+        middles[:, 0], middles[:, 1], "o", markersize=11, markerfacecolor="none", markeredgewidth=2.2,
+        markeredgecolor=RIGHT_GREEN, zorder=6,
+    )  # fmt: skip
+    _words(figure, height, "One map of two robots that showed each other only what matched", subtitle)
+    ring = Line2D(
+        [], [], linestyle="none", marker="o", markerfacecolor="none", markersize=11, markeredgewidth=2.2,
+        markeredgecolor=RIGHT_GREEN, label=f"places that both saw, verified ({len(pairs)})",
+    )  # fmt: skip
+    _legend(
+        figure,
+        [
+            Line2D([], [], color=ALICE_BLUE, linewidth=3.4, label="Alice's path"),
+            Line2D([], [], color=BOB_ORANGE, linewidth=1.7, label="Bob's path"),
+            ring,
+            _square(ALICE_WALL, "walls seen by Alice"),
+            _square(BOB_WALL, "by Bob"),
+            _square(BOTH_WALL, "by both"),
+        ],
+    )
+    figure.savefig(path, dpi=DOTS)
 
-    map_height = WIDTH * (high[1] - low[1]) / (high[0] - low[0])
-    height = map_height + ABOVE + BELOW
+
+def draw_before(path: Path, shown: Sequence[View], subtitle: str) -> None:
+    """Draw both robots' own maps side by side as a PNG, each in a frame of its own."""
+    figure, all_axes, height = _figure([size([view]) for view in shown])
+    colours = (ALICE_BLUE, ALICE_WALL, "Alice"), (BOB_ORANGE, BOB_WALL, "Bob")
+    for axes, view, (colour, wall, name) in zip(all_axes, shown, colours, strict=True):
+        _walls(axes, view.walls, wall)
+        _trail(axes, view, colour, 2.4)
+        axes.set_title(name, color=colour, fontsize=15, fontweight="bold", loc="left")
+    _words(figure, height, "Two robots, two maps, by odometry alone", subtitle)
+    _legend(figure, [Line2D([], [], color=INK, linewidth=0, marker="o", markersize=4, label="keyframes")])
+    figure.savefig(path, dpi=DOTS)
+
+
+def _figure(sizes: Sequence[tuple[float, float]]) -> tuple[Figure, list[Axes], float]:
+    """A figure with a map of each size, in metres, side by side on one scale; and its height in inches."""
+    metre = WIDTH / sum(width for width, _ in sizes)
+    height = max(tall for _, tall in sizes) * metre + ABOVE + BELOW
     figure = Figure(figsize=(WIDTH, height), facecolor="white")
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, BELOW / height, 1.0, map_height / height))
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    axes.set_axis_off()
-
-    walls = _turn(points[np.isfinite(points[..., 0])], upright)
-    walls = walls[((walls > low) & (walls < high)).all(axis=1)]
-    walls = np.unique(np.round(walls / WALL_SQUARE), axis=0) * WALL_SQUARE
-    axes.plot(walls[:, 0], walls[:, 1], ".", color=WALL_GREY, markersize=1.6, markeredgewidth=0, zorder=1)
-    # Alice's path is the broader one, so that it shows on both sides of Bob's where they share a corridor.
-    for trail, keyframes, colour, line in zip(paths, ends, (ALICE_BLUE, BOB_ORANGE), (3.6, 1.6), strict=True):
-        axes.plot(trail[:, 0], trail[:, 1], color=colour, linewidth=line, alpha=0.85, zorder=2)
-        axes.plot(keyframes[:, 0], keyframes[:, 1], "o", color=colour, markersize=3.2, zorder=3)
-
-    right, wrong = decisions & (truth == 1), decisions & (truth == 0)
-    near, missed = decisions & (truth == -1), ~decisions & (truth == 1)
-    _lines(axes, ends, wrong, "--", WRONG_PURPLE, 4)
-    _lines(axes, ends, near | right, "-", RIGHT_GREEN, 5)
-    _rings(axes, ends, missed, MISSED_GREY, *MISSED_RING)
-    _rings(axes, ends, near, RIGHT_GREEN, *NEAR_RING)
-    _rings(axes, ends, right, RIGHT_GREEN, *RIGHT_RING)
-    _scale_bar(axes, low, high)
-    subtitle = (
-        f"Laser scans from MIT's corridors. {len(alice.positions)} places of Alice against "
-        f"{len(bob.positions)} of Bob: {truth.size * bob.turns:,} private comparisons, one bit each."
-    )
-    _words(figure, height, subtitle, [int(np.count_nonzero(m)) for m in (right, wrong, near, missed)])
-    figure.savefig(path, dpi=130)
+    found, left = [], 0.0
+    for width, tall in sizes:
+        axes = figure.add_axes(
+            (left * metre / WIDTH, BELOW / height, width * metre / WIDTH, tall * metre / height)
+        )
+        axes.set(xlim=(0, width), ylim=(0, tall), aspect="equal")
+        axes.set_axis_off()
+        left += width
+        found.append(axes)
+    wide, tall = sizes[-1]
+    bar = [wide - 4 - SCALE_BAR, wide - 4]
+    found[-1].plot(bar, [2, 2], color=INK, linewidth=3, solid_capstyle="butt", zorder=7)
+    found[-1].text(sum(bar) / 2, 2.8, f"{SCALE_BAR:.0f} m", color=INK, fontsize=12, ha="center")
+    return figure, found, height
 
 
-def _turn(points: FloatArray, by: complex) -> FloatArray:
-    turned = (points[:, 0] + 1j * points[:, 1]) * by
-    return np.stack([turned.real, turned.imag], axis=1)
+def _walls(axes: Axes, corners: FloatArray, colour: str) -> None:
+    """Squares, as dots of their size."""
+    inches = axes.get_position().width * WIDTH / (axes.get_xlim()[1] - axes.get_xlim()[0])
+    x, y = (corners + CELL / 2).T
+    points = 1.35 * CELL * inches * 72
+    axes.plot(x, y, "s", color=colour, markersize=points, markeredgewidth=0, zorder=1)
 
 
-def _lines(
-    axes: Axes, ends: Ends, which: npt.NDArray[np.bool_], style: str, colour: str, zorder: int
-) -> None:
-    """Lines from Alice's keyframes to Bob's."""
-    i, j = np.nonzero(which)
-    lines = list(np.stack([ends[0][i], ends[1][j]], axis=1))
-    axes.add_collection(LineCollection(lines, linestyles=style, colors=colour, linewidths=2.2, zorder=zorder))
+def _trail(axes: Axes, view: View, colour: str, width: float) -> None:
+    axes.plot(view.trail[:, 0], view.trail[:, 1], color=colour, linewidth=width, alpha=0.9, zorder=3)
+    axes.plot(view.places[:, 0], view.places[:, 1], "o", color=colour, markersize=3.4, zorder=4)
 
 
-def _rings(
-    axes: Axes, ends: Ends, which: npt.NDArray[np.bool_], colour: str, size: float, width: float
-) -> None:
-    """Rings half-way between the two keyframes: on the map, 1 m is too short for a line to be seen."""
-    i, j = np.nonzero(which)
-    middle = (ends[0][i] + ends[1][j]) / 2
-    axes.plot(
-        middle[:, 0], middle[:, 1], "o", markersize=size, markerfacecolor="none", markeredgecolor=colour,
-        markeredgewidth=width, zorder=6,
-    )  # fmt: skip
-
-
-def _scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    x, y = high[0] - MARGIN - SCALE_BAR, high[1] - 5.0
-    axes.plot([x, x + SCALE_BAR], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=7)
-    axes.text(x + SCALE_BAR / 2, y + 1.2, f"{SCALE_BAR:.0f} m", color=INK, fontsize=12, ha="center")
-
-
-def _words(figure: Figure, height: float, subtitle: str, counts: list[int]) -> None:
-    """Title above, legend below."""
-    right, wrong, near, missed = counts
-    title = "Where two robots have both been, found without showing each other a scan"
+def _words(figure: Figure, height: float, title: str, subtitle: str) -> None:
     figure.text(0.03, 1 - 0.22 / height, title, fontsize=20, fontweight="bold", color=INK, va="top")
     figure.text(0.03, 1 - 0.66 / height, subtitle, fontsize=13, color=INK, va="top")
-    entries = [
-        Line2D([], [], color=ALICE_BLUE, linewidth=3.6, marker="o", label="Alice's path and places"),
-        Line2D([], [], color=BOB_ORANGE, linewidth=1.6, marker="o", label="Bob's path and places"),
-        _ring(RIGHT_GREEN, *RIGHT_RING, f"match, right ({right}): within {SAME:.0f} m"),
-        _ring(RIGHT_GREEN, *NEAR_RING, f"match, near ({near}): {SAME:.0f} to {DIFFERENT:.0f} m, not counted"),
-        Line2D([], [], color=WRONG_PURPLE, linewidth=2, linestyle="--", label=f"match, wrong ({wrong})"),
-        _ring(MISSED_GREY, *MISSED_RING, f"same place, missed ({missed})"),
-    ]
-    corner = (0.02, 0.1 / height)
+
+
+def _legend(figure: Figure, entries: list[Line2D]) -> None:
     figure.legend(
-        handles=entries, loc="lower left", bbox_to_anchor=corner, ncols=3, frameon=False, fontsize=12
+        handles=entries, loc="lower left", bbox_to_anchor=(0.02, 0.0), ncols=6, frameon=False, fontsize=12
     )
 
 
-def _ring(colour: str, size: float, width: float, label: str) -> Line2D:
-    return Line2D(
-        [], [], linestyle="none", marker="o", markerfacecolor="none", markersize=size, markeredgewidth=width,
-        markeredgecolor=colour, label=label,
-    )  # fmt: skip
+def _square(colour: str, label: str) -> Line2D:
+    return Line2D([], [], linestyle="none", marker="s", color=colour, markersize=9, label=label)

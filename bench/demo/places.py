@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.demo.dataset import Run
-from bench.demo.mapping import PublicMap, dead_reckoning, keyframes, submaps
+from bench.demo.local_map import LocalMap, payload_of
+from bench.demo.mapping import PublicMap, dead_reckoning, directed_submaps, keyframes
 from bench.demo.scan_context import polar_grid, quarter_turns
 from spdz.foundations.types import FloatArray
 
@@ -49,6 +50,7 @@ class Robot:
         positions: ``(n, 2)``, metres, of the keyframes in the map frame; for the ground truth.
         descriptors: ``(n * turns, 1200)``, norm 1; the turns of a keyframe lie together.
         turns: Descriptors a keyframe: 1, or 4 where every quarter turn is offered.
+        local: What the robot knows on its own: its poses by odometry, and its submaps.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Robot:
     positions: FloatArray = field(repr=False)
     descriptors: FloatArray = field(repr=False)
     turns: int = 1
+    local: LocalMap = field(repr=False, kw_only=True)
 
     def fold(self, decisions: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """From one decision a descriptor of this robot to one a keyframe: any turn that matches counts.
@@ -83,27 +86,38 @@ class Quality(NamedTuple):
     false_positives: int
 
 
-def robots(run: Run, *, spacing: float = SPACING, turns: int = 1) -> tuple[Robot, Robot]:
+def robots(
+    run: Run, *, spacing: float = SPACING, turns: int = 1, public: PublicMap | None = None
+) -> tuple[Robot, Robot]:
     """Alice and Bob with their descriptors.
 
     Args:
         run: From :func:`bench.demo.dataset.load`.
         spacing: Metres of travel between keyframes.
         turns: 1, or 4 for robots without a compass: Bob then has four descriptors a keyframe.
+        public: The public map; None: made of the run.
 
     Raises:
         ValueError: ``turns`` or ``spacing`` is out of range, or the run has no scans for a public map.
     """
     if turns not in (1, 4) or not spacing > 0:
         raise ValueError(f"expected turns 1 or 4 and a spacing above 0, got {turns} and {spacing}")
-    public = PublicMap.of(run, spacing)
+    public = public or PublicMap.of(run, spacing)
 
     def robot(name: str, scans: range, offered: int) -> Robot:
         at = keyframes(run, scans, spacing)
-        around = submaps(run, scans, dead_reckoning(run, scans), public.walls, at)
-        turned = np.concatenate([quarter_turns(polar_grid(submap), offered) for submap in around])
-        positions = run.poses[scans.start + at, :2]
-        return Robot(name, run.poses[scans, :2], positions, public.background.describe(turned), offered)
+        poses = dead_reckoning(run, scans)
+        grids, payloads = [], []
+        for keyframe, (points, walls) in zip(
+            at, directed_submaps(run, scans, poses, public.walls, at), strict=True
+        ):
+            grids.append(quarter_turns(polar_grid(points), offered))
+            payloads.append(payload_of(points, walls - poses[keyframe, 2]))
+        descriptors = public.background.describe(np.concatenate(grids))
+        local = LocalMap(scans, poses, at, tuple(payloads))
+        return Robot(
+            name, run.poses[scans, :2], run.poses[scans.start + at, :2], descriptors, offered, local=local
+        )
 
     return robot("alice", ALICE, 1), robot("bob", BOB, turns)
 

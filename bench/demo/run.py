@@ -1,85 +1,49 @@
-"""The demo's plot: scans to descriptors, deal, two processes, compare with the clear and with the truth."""
+"""The demo's plot: scans to maps, deal, two processes that compare and verify, one map, the telling."""
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from bench.demo import dataset, places
-from bench.demo.picture import draw_map
-from bench.parties import free_port
+from bench.demo.exchange import DemoFailed, exchange
+from bench.demo.mapping import PublicMap
+from bench.demo.merged import merge
+from bench.demo.page import Story, page
+from bench.demo.picture import draw_before, draw_merged
+from bench.demo.result import Report
+from bench.demo.scene import views
 from dealer.gallery_mission import deal_galleries
 from protocols.catalog import GalleryPurpose
+from protocols.geometry.pose_graph import Solver
 from protocols.scores import S10
 from spdz.console.progress import progress_bar
 from spdz.foundations.types import Security
 from spdz.local import run_clear
 
-TIMEOUT = 300.0
-"""Seconds after which a robot's process counts as hung."""
 
-
-class DemoFailed(RuntimeError):
-    """A robot's process failed; the message is its error."""
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """What the demo measured. Times are milliseconds, sizes bytes."""
-
-    security: str
-    keyframes: tuple[int, int]
-    dimension: int
-    threshold: float
-    pairs: int
-    candidates: int
-    clear_candidates: int
-    private_quality: places.Quality
-    clear_quality: places.Quality
-    disagreements: int
-    dealt_slots: tuple[int, int]
-    dealing_seconds: float
-    folder_bytes: tuple[int, int]
-    bytes_sent: tuple[int, int]
-    rounds: int
-    milliseconds: float
-    clear_bytes: tuple[int, int]
-    clear_milliseconds: float
-    picture: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON-ready."""
-        return asdict(self) | {
-            "private_quality": self.private_quality._asdict(),
-            "clear_quality": self.clear_quality._asdict(),
-        }
-
-
-def run_demo(out: Path, security: Security = "malicious") -> Report:
+def run_demo(out: Path, security: Security = "malicious", solver: Solver = "scipy") -> Report:
     """Run the whole demo.
 
     Args:
-        out: Folder for the picture; created if need be.
+        out: Folder for the page, the pictures and the maps; created if need be.
         security: The security model.
+        solver: Of the pose graph.
 
     Raises:
-        DemoFailed: if a robot's process fails.
+        DemoFailed: if a robot's process fails, or no candidate is verified.
         ImportError: if the extra ``spdz[demo]`` is not installed.
-        OSError: if the picture or the tapes cannot be written.
+        OSError: if the files or the tapes cannot be written.
     """
-    _say("reading 3,873 laser scans and describing the keyframes of two robots")
+    _say("reading 3,873 laser scans; two robots map and describe what they see")
     run = dataset.load()
     out.mkdir(parents=True, exist_ok=True)
-    alice, bob = places.robots(run)
+    public = PublicMap.of(run, places.SPACING)
+    alice, bob = places.robots(run, public=public)
     with tempfile.TemporaryDirectory(prefix="spdz-demo-") as folder:
         purpose = GalleryPurpose("S10", dim=alice.descriptors.shape[1])
         slots = len(alice.descriptors), len(bob.descriptors)
@@ -90,82 +54,86 @@ def run_demo(out: Path, security: Security = "malicious") -> Report:
                 Path(folder), (alice.name, bob.name), purpose, slots, security, progress=bar
             )
         dealing = time.perf_counter() - started
-        _say("two robots compare all keyframes: two processes, TLS 1.3 on loopback")
-        first, second = _match(Path(folder), (alice, bob), places.DEFAULT_THRESHOLD)
-    decisions = _decisions(first)
-    if sorted((j, i) for i, j in second["matches"]) != sorted(map(tuple, first["matches"])):
-        raise DemoFailed("the two robots report different matches")
+        _say("two robots compare all keyframes and verify what matches: two processes, TLS 1.3 on loopback")
+        told = exchange(Path(folder), alice, bob, places.DEFAULT_THRESHOLD, public.background)
+    _say("merging both maps")
+    try:
+        merged = merge(run, alice, bob, told.verdicts, solver)
+    except ValueError as error:
+        raise DemoFailed(f"the maps cannot be merged: {error}") from error
     truth = places.truth(alice, bob)
     scores = run_clear(S10.within(1.0), alice.descriptors[:, None], bob.descriptors[None]).value
     exact = scores >= places.DEFAULT_THRESHOLD
     clear_cut = np.abs(scores - places.DEFAULT_THRESHOLD) > 2.0 ** -(purpose.resolution or 64) / 2
-    private, clear = bob.fold(decisions), bob.fold(exact)
-    picture = out / "map.png"
-    draw_map(picture, run, alice, bob, private, truth)
-    return Report(
+    private, clear = bob.fold(told.decisions), bob.fold(exact)
+    verified = np.zeros_like(private)
+    for pair, verdict in told.verdicts.items():
+        verified[pair] = verdict.accepted
+    files = merged.write(out, run, alice, bob) + [out / name for name in ("map.png", "before.png")]
+    report = Report(
         security=security,
         keyframes=(len(alice.descriptors) // alice.turns, len(bob.descriptors) // bob.turns),
         dimension=alice.descriptors.shape[1],
         threshold=places.DEFAULT_THRESHOLD,
-        pairs=int(decisions.size),
+        pairs=int(told.decisions.size),
         candidates=int(private.sum()),
         clear_candidates=int(clear.sum()),
+        verified=int(verified.sum()),
         private_quality=places.precision_recall(private, truth),
         clear_quality=places.precision_recall(clear, truth),
-        disagreements=int(((decisions != exact) & clear_cut).sum()),
+        verified_quality=places.precision_recall(verified, truth),
+        disagreements=int(((told.decisions != exact) & clear_cut).sum()),
+        errors=merged.errors,
         dealt_slots=dealt.capacity,
         dealing_seconds=dealing,
         folder_bytes=(dealt.folders[Path(folder, alice.name)], dealt.folders[Path(folder, bob.name)]),
-        bytes_sent=(first["bytes_sent"], second["bytes_sent"]),
-        rounds=first["rounds"],
-        milliseconds=max(first["ms"], second["ms"]),
+        bytes_sent=told.bytes_sent,
+        rounds=told.rounds,
+        milliseconds=told.milliseconds,
+        shown=told.shown,
+        payload_bytes=told.payload_bytes,
+        verifying_milliseconds=told.verifying,
         clear_bytes=(alice.descriptors.nbytes, bob.descriptors.nbytes),
         clear_milliseconds=_clear_milliseconds(alice, bob),
-        picture=str(picture),
+        page=str(out / "index.html"),
+        picture=str(out / "map.png"),
+        files=tuple(path.name for path in files),
     )
+    _say("drawing")
+    local, n = (alice.local, bob.local), len(alice.local.poses)
+    story = Story(
+        report=report,
+        alice=alice,
+        bob=bob,
+        verdicts=told.verdicts,
+        alone=[views(run, (own,), (own.poses,))[0] for own in local],
+        merged=views(run, local, (merged.poses[:n], merged.poses[n:])),
+        careless=views(run, local, (merged.unverified[:n], merged.unverified[n:])),
+    )
+    _write(out, story)
+    return report
 
 
-def _decisions(answer: dict[str, Any]) -> npt.NDArray[np.bool_]:
-    """Which pairs match, descriptor by descriptor, from one robot's answer, which numbers slots."""
-    decisions = np.zeros((len(answer["new"]), len(answer["peer_new"])), dtype=np.bool_)
-    rows, columns = ({slot: i for i, slot in enumerate(answer[name])} for name in ("new", "peer_new"))
-    for own, peer in answer["matches"]:
-        decisions[rows[own], columns[peer]] = True
-    return decisions
+def _write(out: Path, story: Story) -> None:
+    """The page and the pictures."""
+    report = story.report
+    (out / "index.html").write_text(page(story), encoding="utf-8")
+    pairs = [pair for pair, verdict in story.verdicts.items() if verdict.accepted]
+    draw_merged(
+        out / "map.png", story.merged, pairs,
+        f"Laser scans from MIT's corridors. {report.pairs:,} private comparisons, one bit each; "
+        f"{report.shown[0]} of {report.keyframes[0]} and {report.shown[1]} of {report.keyframes[1]} submaps "
+        "shown.",
+    )  # fmt: skip
+    draw_before(
+        out / "before.png", story.alone,
+        f"Trajectory errors of {report.errors.alice_alone:.1f} and {report.errors.bob_alone:.1f} m; "
+        f"merged, {report.errors.merged:.1f} m.",
+    )  # fmt: skip
 
 
 def _say(text: str) -> None:
     print(f"... {text}", file=sys.stderr, flush=True)
-
-
-def _match(folder: Path, robots: tuple[places.Robot, places.Robot], threshold: float) -> list[dict[str, Any]]:
-    """Run ``python -m spdz match`` once a robot, each with its own folder only."""
-    address = f"127.0.0.1:{free_port()}"
-    processes = []
-    for robot, peer, role in ((*robots, "--listen"), (*robots[::-1], "--connect")):
-        own = folder / robot.name
-        np.save(own / "descriptors.npy", robot.descriptors)
-        command = [sys.executable, "-m", "spdz", "match", "--json", role, address]
-        command += ["--tape", str(own / f"{peer.name}.tape"), "--threshold", repr(threshold)]
-        command += ["--descriptors", str(own / "descriptors.npy"), "--state-dir", str(own / "state")]
-        if role == "--connect":
-            command.append("--quiet")
-        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
-    try:
-        results = []
-        for process in processes:
-            output, _ = process.communicate(timeout=TIMEOUT)
-            answer = json.loads(output or "{}")
-            if process.returncode != 0 or "matches" not in answer:
-                raise DemoFailed(f"a robot's process failed: {answer.get('message', 'see above')}")
-            results.append(answer)
-        return results
-    except subprocess.TimeoutExpired:
-        raise DemoFailed(f"a robot's process did not finish within {TIMEOUT:.0f} s") from None
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
 
 
 def _clear_milliseconds(alice: places.Robot, bob: places.Robot) -> float:

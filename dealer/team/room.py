@@ -93,9 +93,11 @@ class Room:
         return Record.read(self.pair(task))
 
     def clear(self) -> None:
-        """Remove what was half dealt."""
+        """Remove what was half dealt, or half written."""
         for half_done in self.work.iterdir():
             shutil.rmtree(half_done, ignore_errors=True)
+        for half_written in self.path.glob(".*.partial"):
+            half_written.unlink()
 
     def close(self) -> None:
         """Remove what is of no use once all is handed out."""

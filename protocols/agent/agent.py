@@ -105,7 +105,7 @@ class Agent:
             state_dir=None if state_dir is None else Path(state_dir),
         )
         self._stopped = threading.Event()
-        self._last: dict[str, Any] | None = None  # the status at the end
+        self._last: dict[str, Any] | None = None  # the status when it was closed
         try:
             self._reaching = Reaching(self.folder, self._desk, listen, peers or {})
         except BaseException:
@@ -137,7 +137,7 @@ class Agent:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.stop()
+        self.close()
 
     @property
     def robot(self) -> str:
@@ -260,7 +260,7 @@ class Agent:
         return count
 
     def stop(self) -> None:
-        """End: turns under way are made, peers are told, everything is durable. Safe to call twice."""
+        """End: turns under way are made, peers are told, all is durable. What was found can still be read."""
         if self._stopped.is_set():
             return
         self._stopped.set()
@@ -271,11 +271,14 @@ class Agent:
         ended = [link.join(max(0.0, deadline - time.monotonic())) for link in self._links]
         self._reaching.close()
         self._verifier.close(max(0.1, deadline - time.monotonic()))
-        self._last = self.status()
         self._desk.tell("ended", "ended" if all(ended) else "ended; a turn under way was left behind")
         self._hub.end()
-        if all(ended):
-            self._records.close()
+
+    def close(self) -> None:
+        """Stop, and close the records; safe to call twice."""
+        self.stop()
+        self._last = self._last or self.status()
+        self._records.close()
 
     def _peers(self) -> list[Peer]:
         budgets, records = self.folder.mission.budgets, self._records

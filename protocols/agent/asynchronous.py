@@ -42,7 +42,7 @@ class AsyncAgent:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        await asyncio.to_thread(self.agent.stop)
+        await asyncio.to_thread(self.agent.close)
 
     @property
     def agent(self) -> Agent:

@@ -12,13 +12,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 from protocols.agent.agent import Agent
 from protocols.agent.events import MATCH_STATES, Event
 from protocols.agent.folder_watch import FolderWatch
 from protocols.agent.keyframe import Verify
-from protocols.agent.lines import Given, read_line
+from protocols.agent.lines import Given, read_line, standard_input
 from protocols.agent.metrics import write_metrics
 from protocols.agent.status_line import StatusLine
 from spdz.console.command import say_error
@@ -28,6 +28,7 @@ NAME = "python -m spdz agent"
 _POLL = 0.1
 """Seconds between looks at a watched folder."""
 _METRICS_EVERY = 2.0
+_WRITING = threading.Lock()
 
 _EPILOG = """\
 Keyframes come from Python (docs/how-to.md), from a folder (--watch) or as JSON lines (--stdin):
@@ -196,15 +197,22 @@ class _Run:
             self._ended.wait(_POLL)
 
     def _read(self) -> None:
-        for number, line in enumerate(sys.stdin.buffer, 1):
-            if self._ended.is_set():
-                return
-            if not line.strip():
-                continue
-            try:
-                self._add(read_line(line))
-            except (ValueError, OSError) as error:
-                self._refuse(f"line {number} is left out: {error}")
+        number = 0
+        try:
+            for line in standard_input():
+                number += 1
+                if self._ended.is_set():
+                    return
+                if line.strip():
+                    self._take(number, line)
+        except (OSError, ValueError) as error:
+            self._refuse(f"standard input ends at line {number}: {error}")
+
+    def _take(self, number: int, line: bytes) -> None:
+        try:
+            self._add(read_line(line))
+        except (ValueError, OSError) as error:
+            self._refuse(f"line {number} is left out: {error}")
 
     def _is_quiet(self, now: float) -> bool:
         """Whether all is compared and settled, and has been for as long as was asked for."""
@@ -221,10 +229,7 @@ class _Run:
     def _print_matches(self, seconds: float) -> None:
         for match in self._agent.matches(seconds, again=self._options.again):
             self._line.clear()
-            if self._options.json:
-                print(json.dumps(Event.of(match).as_json()), flush=True)
-            else:
-                print(match, flush=True)
+            _write(sys.stdout, json.dumps(Event.of(match).as_json()) if self._options.json else str(match))
         self._options.again = False
 
     def _print_events(self) -> None:
@@ -255,9 +260,16 @@ class _Run:
 
 def _say(options: argparse.Namespace, event: Event) -> None:
     if options.json:
-        print(json.dumps(event.as_json()), flush=True)
+        _write(sys.stdout, json.dumps(event.as_json()))
     elif not options.quiet:
-        print(event.text, file=sys.stderr, flush=True)
+        _write(sys.stderr, event.text)
+
+
+def _write(stream: TextIO, line: str) -> None:
+    """Write a line as a whole: several threads do."""
+    with _WRITING:
+        stream.write(line + "\n")
+        stream.flush()
 
 
 def _peer(text: str) -> tuple[str, str]:

@@ -6,6 +6,8 @@ import base64
 import binascii
 import json
 import math
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -50,6 +52,26 @@ def read_line(line: str | bytes) -> Given:
         )
     except ValueError as error:
         raise ValueError(f"keyframe {number}: {error}") from None
+
+
+def standard_input() -> Iterator[bytes]:
+    """The lines of standard input.
+
+    Read past Python's buffer, which a thread that waits for input would hold locked when the process ends.
+
+    Raises:
+        ValueError: for a line that is too long.
+    """
+    rest = b""
+    while octets := os.read(0, 1 << 16):
+        *lines, rest = (rest + octets).split(b"\n")
+        yield from lines
+        if len(rest) > MAX_LINE:
+            raise ValueError(
+                f"a line of standard input is longer than {MAX_LINE >> 20} MiB: the rest is not read"
+            )
+    if rest:
+        yield rest
 
 
 def _arrays(value: Any) -> dict[str, FloatArray]:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -88,11 +89,12 @@ class Records:
                 os.close(create_private(self.path))
                 sync_folder(folder)
             self._base = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False)
+        self._close = weakref.finalize(self, self._base.close)
         try:
             with self._errors():
                 self._prepare(mission)
         except BaseException:
-            self._base.close()
+            self._close()
             raise
 
     def _prepare(self, mission: str) -> None:
@@ -141,9 +143,9 @@ class Records:
                 raise
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; safe to call twice."""
         with self._lock:
-            self._base.close()
+            self._close()
 
     @contextmanager
     def _errors(self) -> Iterator[None]:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from protocols.catalog import GalleryPurpose
+from protocols.combining import RULES, Rule
 from protocols.mission.descriptors import DescriptorPlan, check_gallery_name
 from protocols.mission.fields import Table, nearest, shown
 from protocols.mission.purposes import gallery_purpose, gallery_terms
+from protocols.place_purpose import AnyPurpose
 from spdz.arithmetic.fixed_point import encode
 from spdz.foundations.types import FloatArray, Json, Security
 from spdz.readings.gallery import Terms
-
-RULES = ("any", "all")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +32,11 @@ class GalleryPlan:
 
     name: str
     descriptors: tuple[DescriptorPlan, ...]
-    rule: str
+    rule: Rule
     keyframes: Mapping[str, int]
 
     @property
-    def purpose(self) -> GalleryPurpose:
+    def purpose(self) -> AnyPurpose:
         """What its tapes are dealt for."""
         return gallery_purpose(self.name, self.descriptors, self.rule)
 
@@ -123,11 +122,32 @@ def read_galleries(
             raise table.error("a place has at least one descriptor", "of")
         parts = tuple(by_name[part] for part in of)
         most = {agent: max(part.keyframes[agent] for part in parts) for agent in agents}
-        places.append(GalleryPlan(name, parts, table.choice("rule", RULES), most))
+        rule = cast(Rule, table.choice("rule", RULES))
+        places.append(_possible(GalleryPlan(name, parts, rule, most), table))
+    outer = root.table("descriptors")
     alone = [
-        GalleryPlan(one.name, (one,), "any", one.keyframes) for one in descriptors if one.name not in used
+        _possible(GalleryPlan(one.name, (one,), "any", one.keyframes), outer.table(one.name))
+        for one in descriptors
+        if one.name not in used
     ]
     return (*alone, *places)
+
+
+def _possible(gallery: GalleryPlan, table: Table) -> GalleryPlan:
+    """The gallery, if tapes can be dealt for it."""
+    first, *others = gallery.descriptors
+    for one in others:
+        if one.purpose.resolution != first.purpose.resolution:
+            raise table.error(
+                f"the descriptors of a place are compared to one resolution: {first.name} has "
+                f"{first.purpose.step_text} and {one.name} {one.purpose.step_text}",
+                "of",
+            )
+    try:
+        _ = gallery.purpose
+    except ValueError as error:
+        raise table.error(str(error)) from error
+    return gallery
 
 
 def places_as_json(galleries: Sequence[GalleryPlan]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from spdz.channels.parking import Parking
 from spdz.channels.reception import Reception
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.tcp import DEFAULT_WAIT
-from spdz.channels.telling import Teller, ignore, in_seconds
+from spdz.channels.telling import Teller, harmless, ignore, in_seconds
 from spdz.channels.tls import make_context, reach
 from spdz.channels.tls_stream import TlsStream
 from spdz.channels.topic import TopicCaller, be_taken, topic_bytes
@@ -85,7 +85,7 @@ class Port:
         self._peers, self._topics = _names(peers, "peer"), _names(topics, "topic")
         self._address, self._timeout, self._max_frame = address, timeout, max_frame
         self._context = make_context(credentials, ssl.PROTOCOL_TLS_SERVER)
-        self._teller = Teller(_harmless(on_event), _AGAIN)
+        self._teller = Teller(harmless(on_event), _AGAIN)
         self._parking = Parking(timeout + _GRACE)
         self._process = os.getpid()
         self._closing = threading.Event()
@@ -175,17 +175,18 @@ class Port:
                     self._teller.tell(f"the port at {self._address} begins again after an error: {error!r}")
                     self._closing.wait(_REST)
                 finally:
-                    self._where = []
+                    self._listener, self._where = None, []
 
     def _serve(self) -> None:
         """Listen, and put down the calls that come, until the port is closed."""
         while self._listener is None:
             if self._closing.wait(_REST):
                 return
-            with contextlib.suppress(ChannelError):  # told; and what is not allowed now may be later
+            try:
                 self._listener = self._listen()
+            except ChannelError as error:  # what is not allowed now may be allowed later
+                self._teller.tell(str(error), "; trying again")
         with self._listener as listener:
-            self._listener = None
             self._reception = Reception(listener, self._admit, self._teller, self._timeout, self._awake)
             with contextlib.closing(self._reception) as reception:
                 self._where, self._absent = addresses_of(listener), ""
@@ -286,13 +287,3 @@ def _names(names: Collection[str], what: str) -> tuple[str, ...]:
     for name in names:
         topic_bytes(name)  # robots' names are shorter still
     return tuple(dict.fromkeys(names))
-
-
-def _harmless(on_event: Callable[[str], None]) -> Callable[[str], None]:
-    """What is called by a thread that serves others: its errors are its own."""
-
-    def tell(sentence: str) -> None:
-        with contextlib.suppress(Exception):
-            on_event(sentence)
-
-    return tell

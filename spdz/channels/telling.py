@@ -6,6 +6,7 @@ is each reason, not each try: nobody who calls a listener can fill its log.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -27,6 +28,16 @@ def in_seconds(seconds: float) -> str:
 def printable(text: str) -> str:
     """A text without anything that a terminal would obey; names may come from the other side."""
     return "".join(character if character.isprintable() else "?" for character in text)
+
+
+def harmless(on_event: Callable[[str], None]) -> Callable[[str], None]:
+    """For a thread that serves others: what goes wrong with whoever is told is not its concern."""
+
+    def tell(sentence: str) -> None:
+        with contextlib.suppress(Exception):
+            on_event(sentence)
+
+    return tell
 
 
 class Teller:

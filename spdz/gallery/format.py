@@ -104,7 +104,7 @@ class GalleryHeader(Header):
     @property
     def dealer_command(self) -> str:
         """The command that deals another of the same."""
-        if "place" in self.program:
+        if not {"place", "gallery"}.isdisjoint(self.program):  # of places, or with the name of a plan
             return "python -m spdz.dealer mission.toml --out FOLDER"
         usual = {"reveal": "bit", "resolution": "2^-16", "min_norm": 0.0, "max_norm": 1.0}
         unusual = [name for name, value in usual.items() if self.program.get(name, value) != value]

@@ -1,0 +1,1 @@
+"""``python -m bench agents``: a team of agents as processes, fed with real keyframes, killed and watched."""

@@ -1,0 +1,196 @@
+"""The whole demo, once: its numbers, the files that it writes, and its page in a real browser."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from html import escape
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.demo.page import POLICY
+from protocols.geometry.files import read_g2o, read_tum
+from protocols.geometry.pose_graph import optimise
+
+ROOT = Path(__file__).resolve().parent.parent
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--hide-scrollbars", "--virtual-time-budget=5000",
+)  # fmt: skip
+WIDTHS = (360, 1280)
+
+# A window is not made narrower than 500 pixels, a frame is; the page in it is the page as it was written.
+MEASURE = """<!doctype html><iframe style="border: 0; width: WIDTHpx; height: 900px" srcdoc="PAGE"></iframe>
+<script>addEventListener("load", () => {
+  const page = document.querySelector("iframe").contentDocument, width = page.documentElement.clientWidth;
+  const wide = [...page.querySelectorAll("body *")].filter(element => {
+    const box = element.getBoundingClientRect();
+    return !element.ownerSVGElement && (box.right > width + 0.5 || box.left < -0.5);
+  });
+  const pictures = [...page.querySelectorAll("svg")].map(svg => {
+    const inside = svg.getBBox(), box = svg.getBoundingClientRect();
+    return [Math.min(inside.width, inside.height, box.height), box.width];
+  });
+  const broken = [...page.images].filter(image => !image.naturalWidth).length;
+  const scroll = page.documentElement.scrollWidth;
+  const told = {width, scroll, wide: wide.map(element => element.tagName), pictures, broken};
+  document.body.textContent = JSON.stringify(told);
+});</script>"""
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """The folder that the demo wrote, and its report."""
+    for module in ("rtbdata", "matplotlib", "rich", "scipy"):
+        pytest.importorskip(module)
+    folder = tmp_path_factory.mktemp("demo")
+    run = subprocess.run(
+        [sys.executable, "-m", "spdz", "demo", "--json", "--out", str(folder / "out")],
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=folder, capture_output=True, text=True, timeout=110,
+        check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    return folder / "out", json.loads(run.stdout)
+
+
+def test_both_false_candidates_are_rejected_and_most_right_ones_verified(demo: tuple[Path, Any]) -> None:
+    _, report = demo
+    assert report["candidates"] == report["clear_candidates"] == 31 and report["disagreements"] == 0
+    assert report["private_quality"]["false_positives"] == 2
+    assert report["verified_quality"]["false_positives"] == 0
+    assert report["verified"] >= 20
+
+
+def test_merged_map_is_better_than_either_alone_and_than_one_that_believes_all(
+    demo: tuple[Path, Any],
+) -> None:
+    errors = demo[1]["errors"]
+    assert errors["alice_alone"] == pytest.approx(2.33, abs=0.01)
+    assert errors["bob_alone"] == pytest.approx(1.60, abs=0.01)
+    assert errors["merged"] < 0.8 < 10 < errors["unverified"]
+    assert errors["kernel_only"] < 1.0
+
+
+def test_submaps_change_hands_for_candidates_alone(demo: tuple[Path, Any]) -> None:
+    _, report = demo
+    assert all(0 < shown <= report["candidates"] for shown in report["shown"])
+    assert all(shown < of for shown, of in zip(report["shown"], report["keyframes"], strict=True))
+
+
+def test_every_file_that_the_report_names_is_there(demo: tuple[Path, Any]) -> None:
+    out, report = demo
+    assert {path.name for path in out.iterdir()} == {"index.html", *report["files"]}
+    assert Path(report["page"]).is_file()
+    assert (out / "map.png").stat().st_size < 300_000
+
+
+def test_merged_graph_that_was_written_is_solved_by_the_poses_in_it(demo: tuple[Path, Any]) -> None:
+    out, report = demo
+    graph = read_g2o(out / "merged.g2o")
+    assert len(graph.poses) == 1800 and int(graph.doubtful.sum()) == report["verified"]
+    np.testing.assert_allclose(optimise(graph).poses, graph.poses, atol=1e-4)
+    _, merged = read_tum(out / "merged.tum")
+    np.testing.assert_allclose(merged[:, :2], graph.poses[:, :2], atol=1e-12)
+
+
+def test_trajectories_are_in_the_order_of_time(demo: tuple[Path, Any]) -> None:
+    for name, scans in (("alice", 800), ("bob", 1000), ("merged", 1800)):
+        stamps, poses = read_tum(demo[0] / f"{name}.tum")
+        assert len(poses) == scans and (np.diff(stamps) > 0).all()
+
+
+# --- the page --------------------------------------------------------------------------------------------
+
+
+class Elements(HTMLParser):
+    """Collects what a page is made of; a tag that is closed by another is an error."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.links += [
+            value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "srcset")
+        ]
+        if tag not in ("meta", "link", "circle", "path", "polyline"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def text_of(demo: tuple[Path, Any]) -> str:
+    return (demo[0] / "index.html").read_text(encoding="utf-8")
+
+
+def test_page_is_whole_without_scripts_and_loads_nothing(demo: tuple[Path, Any]) -> None:
+    text, elements = text_of(demo), Elements()
+    elements.feed(text)
+    elements.close()
+    assert elements.open == []
+    assert not elements.tags & {"script", "iframe", "object", "embed", "form"}
+    assert all(link.startswith("data:") for link in elements.links)
+    assert "@import" not in text and "url(" not in text and POLICY in text
+    assert len(text) < 1_000_000
+
+
+def test_page_tells_the_numbers_of_the_report(demo: tuple[Path, Any]) -> None:
+    text, report = text_of(demo), demo[1]
+    for words in (
+        f"{report['pairs']:,} comparisons",
+        f"{report['verified']} verified, {report['candidates'] - report['verified']} rejected",
+        f"{report['errors']['merged']:.2f} m",
+        f"{report['errors']['unverified']:.2f} m",
+        f"({report['shown'][0]} of 99, {report['shown'][1]} of 117)",
+    ):
+        assert words in re.sub(r"\s+", " ", text), words
+
+
+def browse(page: Path, width: int, tmp_path: Path, *more: str) -> "subprocess.CompletedProcess[str]":
+    """Open a page in a fresh browser and return what it has become."""
+    if CHROMIUM is None:
+        pytest.skip("Chromium is not installed")
+    size, profile = f"--window-size={width},900", f"--user-data-dir={tmp_path / 'profile'}"
+    command = [CHROMIUM, *FLAGS, size, profile, *more, page.as_uri()]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+    assert run.returncode == 0, run.stderr
+    return run
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_wider_than_the_screen_and_every_picture_shows(
+    width: int, demo: tuple[Path, Any], tmp_path: Path
+) -> None:
+    page = tmp_path / "frame.html"
+    inside = escape(text_of(demo), quote=True)
+    page.write_text(MEASURE.replace("WIDTH", str(width)).replace("PAGE", inside), encoding="utf-8")
+    told = re.search(r"<body>(\{.*?\})</body>", browse(page, 1400, tmp_path, "--dump-dom").stdout, re.DOTALL)
+    assert told is not None
+    measured = json.loads(told.group(1))
+    assert measured["width"] == width and measured["scroll"] == width and measured["wide"] == []
+    assert len(measured["pictures"]) == 9 and measured["broken"] == 0
+    assert all(inside > 30 and across > width / 5 for inside, across in measured["pictures"])
+
+
+def test_browser_has_nothing_to_complain_of(demo: tuple[Path, Any], tmp_path: Path) -> None:
+    picture = tmp_path / "page.png"
+    run = browse(
+        demo[0] / "index.html", 360, tmp_path, "--enable-logging=stderr", f"--screenshot={picture}"
+    )  # fmt: skip
+    assert ":CONSOLE" not in run.stderr, run.stderr
+    assert picture.stat().st_size > 20_000
