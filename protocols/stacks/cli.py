@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from protocols.agent import Agent, Event, Match
-from protocols.agent.options import peer_address, say_event, verify_function
+from protocols.agent.options import peer_address, say_event, verify_function, write_line
 from protocols.mission import Folder
 from protocols.stacks.bag import Bag
 from protocols.stacks.bridge import Bridge
@@ -262,7 +262,7 @@ def _tell(options: argparse.Namespace, name: str, sentence: str) -> None:
 
 def _show(options: argparse.Namespace, match: Any) -> None:
     shown: Match = match
-    print(json.dumps(Event.of(shown).as_json()) if options.json else shown, flush=True)
+    write_line(sys.stdout, json.dumps(Event.of(shown).as_json()) if options.json else str(shown))
 
 
 def _report(options: argparse.Namespace, report: dict[str, Any]) -> None:

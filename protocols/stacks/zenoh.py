@@ -72,7 +72,8 @@ class Zenoh:
             OSError: if no session can be opened.
         """
         with needs("eclipse-zenoh"):
-            import zenoh
+            import zenoh as library
+        zenoh: Any = library  # its type stubs say otherwise of what is used here
         check_domain(domain)
         self._codec = Codec()
         self._inbox: queue.Queue[tuple[type, bytes]] = queue.Queue(DEPTH)
@@ -174,7 +175,7 @@ class Zenoh:
 
     def close(self) -> None:
         """Close the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._session.close()
 
 
 def attachment(number: int, stamp: int, gid: bytes) -> bytes:
