@@ -47,8 +47,8 @@ Reads cslam_common_interfaces/msg/GlobalDescriptors from a bag of ROS 2 (or ROS 
 robot to its agent, at the pace of the recording. No ROS is needed.
 
 example, in two terminals, with one bag in which both robots were recorded:
-  python -m spdz replay run.bag --mission mission/alice --speed 10 --listen 127.0.0.1:9000
-  python -m spdz replay run.bag --mission mission/bob --speed 10 --peer alice=127.0.0.1:9000
+  python -m spdz replay run --mission mission/alice --speed 10 --listen 127.0.0.1:9000
+  python -m spdz replay run --mission mission/bob --speed 10 --peer alice=127.0.0.1:9000
 """
 
 
