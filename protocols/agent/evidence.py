@@ -1,7 +1,7 @@
 """What an agent keeps of its peers: the matches, what was shown of them, and what is held against whom.
 
-It is kept for people who want to know why a peer was stopped. It convinces nobody else: a MAC is checked with a
-key that both robots share, so either could have made what it says the other has shown.
+It is kept for people who want to know why a peer was stopped. It convinces nobody else: a MAC is checked with
+a key of which either robot has a share, and no third one anything.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def add_evidence(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     arguments = commands.add_parser(
         "evidence",
         help="what an agent has seen of its peers: matches, what they showed, strikes",
-        description="Lists an agent's matches and every peer's strikes; with --out it writes what peers have shown. "
-        "The agent must not be running.",
-        epilog="It convinces nobody but you: either robot could have made what it says the other has shown.",
+        description="Lists an agent's matches and every peer's strikes; with --out it writes what peers have "
+        "shown. The agent must not be running.",
+        epilog="It convinces nobody but you: MACs are no signatures.",
     )
     add = arguments.add_argument
     add(
