@@ -190,7 +190,7 @@ def test_a_take_can_be_stopped(open_port):
 
 def test_a_call_can_be_stopped_while_the_peer_does_not_take_it(folders, open_port):
     port, stop = open_port(), threading.Event()
-    caller = Background(calling(folders, port, stop=stop))
+    caller = Background(calling(folders, port, timeout=10 * LONG, wait=float("inf"), stop=stop))
     until(lambda: parked(port))
     stop.set()
     with pytest.raises(ChannelTimeout, match="stopped"):
