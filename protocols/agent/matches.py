@@ -82,8 +82,8 @@ class Matches:
 
         Args:
             pairs: True pairs, in an order that both sides know.
-            most: How many the peer may owe its half of: whoever takes what it is shown and hangs up, again and
-                again, gets no more than that.
+            most: How many the peer may owe its half of: whoever takes what it is shown and hangs up, again
+                and again, gets no more than that.
 
         Returns:
             Those that were shown before, and others as far as there is trust left.
