@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import bench.accuracy
+import bench.agents.cli
 import bench.cli
 import bench.gallery
 import bench.gallery_pairs
@@ -264,7 +265,7 @@ def known_options() -> set[str]:
     commands = spdz.__main__.parser()
     (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
-    parsers += [bench.accuracy.parser(), bench.oracle.parser()]
+    parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.oracle.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
