@@ -491,6 +491,15 @@ def test_the_command_tells_a_broken_plan_by_its_line(tmp_path, capsys):
     assert '"error": "PlanError"' in capsys.readouterr().out
 
 
+def test_who_interrupts_the_command_is_told_how_to_go_on(tmp_path, couple, capsys, monkeypatch):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(deal, "deal_here", interrupted)
+    assert cli.main([str(tmp_path / "mission.toml"), "--out", str(tmp_path / "m")]) == 130
+    assert "give the same command to go on" in capsys.readouterr().err
+
+
 def test_a_lost_process_is_a_failure_and_no_mistake_of_the_user(tmp_path, couple, capsys, monkeypatch):
     def lost(*arguments, **options):
         raise DealingStopped("a dealing process died")
