@@ -460,7 +460,8 @@ def test_a_file_in_the_folders_place_is_told(tmp_path, couple, name):
 def test_workers_are_as_many_as_there_are_cores_and_memory_for(monkeypatch):
     monkeypatch.setattr(deal, "cores", lambda: 8)
     monkeypatch.setattr(deal, "available_memory", lambda: 1000)
-    assert [deal.workers_for(size) for size in (1, 125, 300, 5000)] == [8, 8, 3, 1]
+    assert [deal.workers_for(size, 10**6) for size in (1, 125, 300, 5000)] == [8, 8, 3, 1]
+    assert deal.workers_for(1, 100) == 1  # others would come too late
     assert here.cores() >= 1
 
 
