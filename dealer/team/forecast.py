@@ -75,7 +75,8 @@ def forecast(mission: Mission, workers: int | None = None) -> Forecast:
     """
     costs = _costs(mission)
     memory = max(cost.dealing_memory for cost in costs.values())
-    workers = min(workers or workers_for(memory), len(costs))
+    pairs = sum(cost.capacity[0] * cost.capacity[1] for cost in costs.values())
+    workers = min(workers or workers_for(memory, pairs), len(costs))
     seconds = [cost.dealing_seconds or 0.0 for cost in costs.values()]
     largest: dict[str, GalleryCost] = {}
     for task, cost in costs.items():
