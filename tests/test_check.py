@@ -209,7 +209,7 @@ def test_unit_vectors_need_max_norm_1_although_rounding_lengthens_some():
     assert standing.norms.outside == 0 and standing.norms.advised == 1.0
 
 
-@pytest.mark.parametrize("scale", [1e-3, 0.3, 30.0, 4e5])
+@pytest.mark.parametrize("scale", [1.2345e-3, 0.33333, 31.234, 4.0321e5])
 def test_the_advised_norm_serves_descriptors_of_any_size(scale):
     rows = scale * isotropic(60, 30)
     advised = describe(rows, score="S7", threshold=0.9).norms.advised

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.attacks.paths import exchanged_matches
-from bench.attacks.world import CELLS, Places, World
+from bench.attacks.world import CELLS, Places, World, quarter_turned
 from bench.demo.scan_context import Background, quarter_turns
 from spdz.foundations.types import FloatArray
 
@@ -47,7 +47,7 @@ class Decoder:
         The cut is chosen on the last quarter of them, by a fit on the others.
         """
         x = background.describe(np.concatenate([quarter_turns(grid, turns) for grid in own.grids]))
-        y = np.concatenate([[np.rot90(seen, turn) for turn in range(turns)] for seen in own.occupancy])
+        y = np.concatenate([quarter_turned(seen, turns) for seen in own.occupancy])
         y = y.reshape(len(x), -1).astype(np.float64)
         held = len(x) * 3 // 4
         trial = Decoder(*_ridge(x[:held], y[:held, ::_TRIED]), 0.0)
