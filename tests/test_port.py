@@ -13,7 +13,6 @@ from spdz.channels.port import Port, dial
 from spdz.channels.topic import MAX_TOPIC, answer, topic_bytes
 from spdz.foundations.errors import ChannelTimeout, PeerAborted, ProtocolViolation
 
-
 # --- meeting
 
 

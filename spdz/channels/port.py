@@ -7,9 +7,9 @@ Nobody waits for ever. A call that is not taken within ``timeout`` is dropped on
 calls again while its ``wait`` lasts. So what is taken is recent, also where a radio link went without a sign.
 A channel over which nothing is sent breaks on either side when the other is out of reach for about that long.
 
-Security limits: callers under way are MAX_HANDSHAKES (:mod:`spdz.channels.reception`) and one for each peer and
-topic, so that all peers may come at once, each for ``timeout`` seconds at most; waiting calls are one for each
-peer and topic; a topic has MAX_TOPIC bytes.
+Security limits: callers under way are MAX_HANDSHAKES (:mod:`spdz.channels.reception`) and one for each peer
+and topic, so that all peers may come at once, each for ``timeout`` seconds at most; waiting calls are one for
+each peer and topic; a topic has MAX_TOPIC bytes.
 """
 
 from __future__ import annotations
