@@ -136,6 +136,11 @@ def test_a_bag_that_is_damaged_is_one_sentence(tmp_path, damage):
     assert "\n" not in str(told.value)
 
 
+def test_a_folder_that_is_named_like_a_bag_of_ros_1_is_told(tmp_path):
+    with pytest.raises(ValueError, match="rename it"):
+        Bag(record(tmp_path / "run.bag"))
+
+
 def test_a_bag_is_never_written_over(tmp_path):
     record(tmp_path / "bag")
     with pytest.raises(ValueError, match="exists already"):

@@ -1,11 +1,16 @@
 """An agent on a ROS 2 graph over Zenoh: the same adapter, keys and attachments as rmw_zenoh has them."""
 
 import json
+import os
+import signal
 import struct
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
+from agent_helpers import deal, places, plan
 from stack_helpers import ROLE, FakeAgent, News, cloud, descriptors, unit
 
 pytest.importorskip("zenoh", reason="needs eclipse-zenoh: pip install 'spdz[ros]'")
@@ -17,6 +22,7 @@ from bench.parties import free_port
 from protocols.stacks.bridge import Bridge, give
 from protocols.stacks.codec import Codec
 from protocols.stacks.messages import (
+    GlobalDescriptor,
     GlobalDescriptors,
     InterRobotLoopClosure,
     InterRobotMatches,
@@ -46,7 +52,7 @@ class Graph:
         self.session = zenoh.open(
             zenoh.Config.from_json5(session(listen={"endpoints": [f"tcp/127.0.0.1:{port}"]}))
         )
-        self._all = self.session.declare_subscriber("**", self.heard.append)
+        self.all = self.session.declare_subscriber("**", self.heard.append)
 
 
 @pytest.fixture(params=["rmw", "bridge"])
@@ -71,9 +77,9 @@ def send(others, keys, topic, message, *, type_hash="RIHS01_0123", domain=7, hea
     data = message if isinstance(message, bytes) else CODEC.encode(message)
     kind = GlobalDescriptors if isinstance(message, bytes) else type(message)
     key = topic[1:] if keys == "bridge" else f"{domain}{topic}/{dds_name(kind)}/{type_hash}"
-    publisher = others.session.declare_publisher(key)
+    publisher = others.session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
     if heard:
-        wait_for(lambda: publisher.matching_status)
+        wait_for(lambda: publisher.matching_status.matching)
     publisher.put(data)
 
 
@@ -152,6 +158,17 @@ def test_matches_and_closures_are_all_that_is_published(graph, keys):
         assert number >= 1 and size == len(gid) == 16
 
 
+@pytest.mark.parametrize("keys", ["rmw"], indirect=True)
+def test_whether_anybody_reads_is_told(graph, keys):
+    transport, others = graph
+    wait_for(transport.has_reader)
+    others.all.undeclare()
+    wait_for(lambda: not transport.has_reader())
+    held = others.session.declare_subscriber("7/cslam/inter_robot_matches/**")
+    wait_for(transport.has_reader)
+    assert held is not None
+
+
 def test_only_public_messages_are_published(graph):
     transport, _ = graph
     for message in (descriptors(3), cloud(3), Payload(3, b"scan"), b"scan"):
@@ -181,3 +198,36 @@ def test_a_configuration_that_is_none_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("ZENOH_SESSION_CONFIG_URI", str(tmp_path / "none.json5"))
     with pytest.raises(ValueError, match="Zenoh configuration"):
         Zenoh(NAMES)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("keys", ["rmw"], indirect=True)
+def test_the_command_runs_over_zenoh_and_says_why_nothing_matched(tmp_path, keys):
+    port = free_port()
+    others = Graph(port)
+    file = tmp_path / "session.json5"
+    file.write_text(session(connect={"endpoints": [f"tcp/127.0.0.1:{port}"]}, listen={"endpoints": []}))
+    mission = deal(tmp_path, plan())
+    where = f"--mission {mission}/alice --listen 127.0.0.1:0 --namespace /r0 --domain 7 --json".split()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spdz", "ros", "--transport", "zenoh", *where],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"ZENOH_SESSION_CONFIG_URI": str(file)},
+    )
+    try:
+        for keyframe, vector in enumerate(places(3, 16, seed=1)):
+            send(others, keys, NAMES.descriptors, GlobalDescriptors((GlobalDescriptor(keyframe, 0, vector),)))
+        send(others, keys, NAMES.descriptors, descriptors(9, dim=5))
+        refusal = next(line for line in map(json.loads, process.stdout) if line["event"] == "refused")
+        process.send_signal(signal.SIGTERM)
+        output, _ = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+        others.session.close()
+    assert "keyframe 9: its descriptor has 5 numbers, the plan says 16" in refusal["text"]
+    report = json.loads(output.splitlines()[-1])
+    assert report["counts"]["added"] == 3
+    assert report["why"]["bob"]["code"] == "peer-absent"

@@ -142,8 +142,8 @@ so that nobody matches with one place and shows another. Then it lays the submap
 (point-to-line ICP). A candidate counts if at least {least} of the points within {NEAR:.0f} m have one of the
 other's within {INLIER * 100:.0f} cm, both ways: <b>{report.verified} verified,
 {rejected} rejected</b>, among them {_all_of(len(false), "that lie elsewhere")}.
-{_spared(rejected - len(false))}After {STRIKES} that fail a robot compares no more with the other until it is told
-to: who probes pays for each bit with a place that fits.</p>
+{_spared(rejected - len(false))}After {STRIKES} that fail a robot compares no more with the other until it is
+told to: who probes pays for each bit with a place that fits.</p>
 <div class="pair overlay">{"".join(_overlay(story, pair) for pair in _examples(story))}</div>
 <figure class="narrow">{strip}
 {_legend(("spot", "yes", "the same place in truth"), ("ring", "no", "another place"))}

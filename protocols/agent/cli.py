@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import Any, TextIO
 
 from protocols.agent.agent import Agent
 from protocols.agent.events import MATCH_STATES, Event
 from protocols.agent.folder_watch import FolderWatch
-from protocols.agent.keyframe import Verify
 from protocols.agent.lines import Given, read_line, standard_input
 from protocols.agent.metrics import write_metrics
+from protocols.agent.options import peer_address, say_event, verify_function, write_line
 from protocols.agent.status_line import StatusLine
 from spdz.console.command import say_error
 from spdz.foundations.errors import SpdzError
@@ -28,7 +25,6 @@ NAME = "python -m spdz agent"
 _POLL = 0.1
 """Seconds between looks at a watched folder."""
 _METRICS_EVERY = 2.0
-_WRITING = threading.Lock()
 
 _EPILOG = """\
 Keyframes come from Python (docs/how-to.md), from a folder (--watch) or as JSON lines (--stdin):
@@ -110,9 +106,9 @@ def run_agent(options: argparse.Namespace) -> int:
     try:
         agent = Agent(
             options.mission,
-            verify=_function(options.verify),
+            verify=verify_function(options.verify),
             listen=options.listen,
-            peers=dict(map(_peer, options.peer)),
+            peers=dict(map(peer_address, options.peer)),
             strikes=options.strikes,
             grace=options.grace,
             timeout=options.timeout,
@@ -125,10 +121,9 @@ def run_agent(options: argparse.Namespace) -> int:
         try:
             if options.forgive is not None:
                 count = agent.forgive(options.forgive)
-                _say(
-                    options,
-                    Event("forgiven", f"{count} strikes of {options.forgive} are forgiven", options.forgive),
-                )
+                text = f"{count} strikes of {options.forgive} are forgiven"
+                event = Event("forgiven", text, options.forgive)
+                say_event(event, as_json=options.json, quiet=options.quiet)
         except ValueError as error:
             say_error(NAME, "ValueError", str(error), as_json=options.json)
             return 2
@@ -229,7 +224,8 @@ class _Run:
     def _print_matches(self, seconds: float) -> None:
         for match in self._agent.matches(seconds, again=self._options.again):
             self._line.clear()
-            _write(sys.stdout, json.dumps(Event.of(match).as_json()) if self._options.json else str(match))
+            as_json = self._options.json
+            write_line(sys.stdout, json.dumps(Event.of(match).as_json()) if as_json else str(match))
         self._options.again = False
 
     def _print_events(self) -> None:
@@ -239,7 +235,7 @@ class _Run:
 
     def _show(self, event: Event) -> None:
         self._line.clear()
-        _say(self._options, event)
+        say_event(event, as_json=self._options.json, quiet=self._options.quiet)
 
     def _show_numbers(self) -> None:
         status = self._agent.status()
@@ -255,42 +251,4 @@ class _Run:
         for one in self._agent.status()["galleries"]:
             if one["why"]["text"]:
                 fields = {"code": one["why"]["code"]}
-                _say(self._options, Event("why", one["why"]["text"], one["peer"], one["gallery"], fields))
-
-
-def _say(options: argparse.Namespace, event: Event) -> None:
-    if options.json:
-        _write(sys.stdout, json.dumps(event.as_json()))
-    elif not options.quiet:
-        _write(sys.stderr, event.text)
-
-
-def _write(stream: TextIO, line: str) -> None:
-    """Write a line as a whole: several threads do."""
-    with _WRITING:
-        stream.write(line + "\n")
-        stream.flush()
-
-
-def _peer(text: str) -> tuple[str, str]:
-    name, equals, address = text.partition("=")
-    if not (name and equals and address):
-        raise ValueError(f"--peer is NAME=HOST:PORT, such as alice=192.168.1.10:9000, not {text!r:.60}")
-    return name, address
-
-
-def _function(text: str | None) -> Verify | None:
-    if text is None:
-        return None
-    module, colon, name = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError("expected MODULE:FUNCTION")
-        sys.path.insert(0, str(Path.cwd()))
-        found: Any = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"--verify {text:.60}: {error}") from None
-    if not callable(found):
-        raise ValueError(f"--verify {text:.60} is not a function")
-    verify: Callable[..., Any] = found
-    return verify
+                self._show(Event("why", one["why"]["text"], one["peer"], one["gallery"], fields))

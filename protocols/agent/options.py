@@ -1,16 +1,19 @@
-"""What commands that run an agent have in common: how their options are read, and how they tell what happens."""
+"""What the commands that run an agent have in common: reading options, telling what happens."""
 
 from __future__ import annotations
 
 import importlib
 import json
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from protocols.agent.events import Event
 from protocols.agent.keyframe import Verify
+
+_WRITING = threading.Lock()
 
 
 def peer_address(text: str) -> tuple[str, str]:
@@ -50,6 +53,13 @@ def verify_function(text: str | None) -> Verify | None:
 def say_event(event: Event, *, as_json: bool, quiet: bool = False) -> None:
     """Tell an event: one JSON object on standard output, or a sentence on standard error."""
     if as_json:
-        print(json.dumps(event.as_json()), flush=True)
+        write_line(sys.stdout, json.dumps(event.as_json()))
     elif not quiet:
-        print(event.text, file=sys.stderr, flush=True)
+        write_line(sys.stderr, event.text)
+
+
+def write_line(stream: TextIO, line: str) -> None:
+    """Write a line as a whole: several threads do."""
+    with _WRITING:
+        stream.write(line + "\n")
+        stream.flush()

@@ -49,6 +49,7 @@ CREATE TABLE matches (
     match INTEGER PRIMARY KEY AUTOINCREMENT, link INTEGER NOT NULL, slot INTEGER NOT NULL,
     peer_slot INTEGER NOT NULL, keyframe INTEGER, state TEXT NOT NULL, why TEXT NOT NULL DEFAULT '',
     transform TEXT, weight REAL, peer_state TEXT, told INTEGER NOT NULL DEFAULT 0,
+    shown INTEGER NOT NULL DEFAULT 0,
     UNIQUE (link, slot, peer_slot)
 );
 CREATE TABLE opened (

@@ -49,6 +49,7 @@ class Turns:
         self._verifier, self._wake = verifier, wake
         self._waiting: list[IntArray] = []
         self._capacity = (0, 0)
+        self._known: dict[int, int | None] = {}
         self._true: set[Pair] = set()
         self._asked: dict[Pair, float] = {}
         self._held = [0, 0]
@@ -66,7 +67,7 @@ class Turns:
         """
         self._waiting, self._compared = waiting, 0
         self._ask_from = self._bring_from = 0.0
-        self._capacity = session.capacity
+        self._capacity, self._known = session.capacity, self._slots.known()
         self._reconcile(session)
         self._find(list(session.results()))
         self._true = self._matches.pairs()
@@ -173,16 +174,18 @@ class Turns:
         self._peer.matches.spend(len(news))
         for one in news:
             self._desk.hub.tell(Event.of(one))
+        if news:
+            self._judge()  # both halves may have been shown for other matches
 
     def _reconcile(self, session: GallerySession) -> None:
         """Find out which keyframes are in which slots, by what the ledger holds."""
         filled = session.filled
-        known = self._slots.known()
-        new = [slot for slot in filled if slot not in known]
-        lost = set(known) - set(filled)
+        new = [slot for slot in filled if slot not in self._known]
+        lost = set(self._known) - set(filled)
         if new or lost:
             digests = [digest_of(raw) for raw in session.plain(new)]
             self._slots.place(dict(zip(new, digests, strict=True)), lost)
+            self._known = self._slots.known()
         self._held = [len(filled), len(session.peer_filled)]
 
     # -- matches -------------------------------------------------------------------------------------
@@ -202,19 +205,20 @@ class Turns:
         return want
 
     def _show(self, session: GallerySession, wanted: list[Pair]) -> None:
+        """Show each other what is wanted and found True here, as far as the peer is trusted with it."""
         matches = self._matches
         self._ask_from = time.monotonic() + _AGAIN  # unless the peer shows something
-        own = self._slots.known()
-        true = {pair for pair in self._true if own.get(pair[0]) is not None}
+        true = [pair for pair in wanted if pair in self._true and self._known.get(pair[0]) is not None]
+        trusted = matches.trust(true, self._desk.strikes)
         seen = matches.shown([slot for _, slot in wanted])
-        _, shown = show(session, wanted, true, seen, self._own_keyframe, self._capacity)
-        matches.show(shown.items())
+        shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity)
         if shown:
+            matches.show(shown.items())
             self._ask_from = 0.0
             self._judge()
 
     def _own_keyframe(self, slot: int) -> Keyframe:
-        number = self._slots.known().get(slot)
+        number = self._known.get(slot)
         keyframe = None if number is None else self._desk.keyframes.get(number, self._gallery)
         if keyframe is None:
             raise ValueError(f"the keyframe in slot {slot} is not known any more")

@@ -54,6 +54,10 @@ class Bag:
         """
         with needs("rosbags"):
             from rosbags.highlevel import AnyReader, AnyReaderError
+        if path.suffix == ".bag" and path.is_dir():
+            raise ValueError(
+                f"{path} is a folder, and a name that ends in .bag is a file of ROS 1: rename it"
+            )
         self.path = path
         self._codec = Codec()
         self._kinds = {ros_name(kind): kind for kind in (GlobalDescriptors, payload) if kind is not None}

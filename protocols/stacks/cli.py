@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from protocols.agent import Agent, Event, Match
-from protocols.agent.options import peer_address, say_event, verify_function
+from protocols.agent.options import peer_address, say_event, verify_function, write_line
 from protocols.mission import Folder
 from protocols.stacks.bag import Bag
 from protocols.stacks.bridge import Bridge
@@ -47,8 +47,8 @@ Reads cslam_common_interfaces/msg/GlobalDescriptors from a bag of ROS 2 (or ROS 
 robot to its agent, at the pace of the recording. No ROS is needed.
 
 example, in two terminals, with one bag in which both robots were recorded:
-  python -m spdz replay run.bag --mission mission/alice --speed 10 --listen 127.0.0.1:9000
-  python -m spdz replay run.bag --mission mission/bob --speed 10 --peer alice=127.0.0.1:9000
+  python -m spdz replay run --mission mission/alice --speed 10 --listen 127.0.0.1:9000
+  python -m spdz replay run --mission mission/bob --speed 10 --peer alice=127.0.0.1:9000
 """
 
 
@@ -262,7 +262,7 @@ def _tell(options: argparse.Namespace, name: str, sentence: str) -> None:
 
 def _show(options: argparse.Namespace, match: Any) -> None:
     shown: Match = match
-    print(json.dumps(Event.of(shown).as_json()) if options.json else shown, flush=True)
+    write_line(sys.stdout, json.dumps(Event.of(shown).as_json()) if options.json else str(shown))
 
 
 def _report(options: argparse.Namespace, report: dict[str, Any]) -> None:

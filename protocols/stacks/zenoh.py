@@ -72,7 +72,8 @@ class Zenoh:
             OSError: if no session can be opened.
         """
         with needs("eclipse-zenoh"):
-            import zenoh
+            import zenoh as library
+        zenoh: Any = library  # its type stubs say otherwise of what is used here
         check_domain(domain)
         self._codec = Codec()
         self._inbox: queue.Queue[tuple[type, bytes]] = queue.Queue(DEPTH)
@@ -170,11 +171,11 @@ class Zenoh:
 
     def has_reader(self) -> bool:
         """Whether anybody reads matches or loop closures."""
-        return any(one.matching_status for each in self._publishers.values() for one in each)
+        return any(one.matching_status.matching for each in self._publishers.values() for one in each)
 
     def close(self) -> None:
         """Close the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        self._session.close()
 
 
 def attachment(number: int, stamp: int, gid: bytes) -> bytes:
