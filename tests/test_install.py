@@ -89,7 +89,7 @@ def test_a_wheel_holds_every_module_and_file_of_data(installed, tmp_path):
         expected = {
             path.relative_to(ROOT)
             for path in (ROOT / package).rglob("*")
-            if path.suffix in (".py", ".typed", ".json")
+            if path.suffix in (".py", ".typed", ".json", ".css")
         }
         assert {path for path in expected if not (site / path).is_file()} == set()
     assert {path.name for path in site.iterdir() if path.is_dir()} == {

@@ -53,6 +53,7 @@ GOOD = submap().to_bytes()
         (GOOD[:16] + struct.pack("<d", 7.0) + GOOD[24:], "walls"),
         (GOOD[:-4] + struct.pack("<f", np.nan), "finite"),
         (GOOD[:-4] + struct.pack("<f", np.inf), "finite"),
+        (GOOD[:-4] + bytes.fromhex("0100807f"), "finite"),  # a NaN that signals
         (GOOD[:-4] + struct.pack("<f", -101.0), "within 100 m"),
         (bytes(MOST_BYTES + 1), "at most 400,024 bytes"),
     ],

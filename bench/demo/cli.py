@@ -10,7 +10,7 @@ import shutil
 import sys
 from pathlib import Path
 
-NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13", "scipy>=1.11")
+NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4", "rich>=13", "scipy>=1.13")
 """The extra ``demo``."""
 SOLVERS: dict[str, tuple[str, ...]] = {"scipy": (), "gtsam": ("gtsam",)}
 """What each solver needs beyond it."""

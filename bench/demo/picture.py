@@ -74,7 +74,7 @@ def draw_before(path: Path, shown: Sequence[View], subtitle: str) -> None:
     for axes, view, (colour, wall, name) in zip(all_axes, shown, colours, strict=True):
         _walls(axes, view.walls, wall)
         _trail(axes, view, colour, 2.4)
-        axes.set_title(name, color=colour, fontsize=15, fontweight="bold", loc="left")
+        axes.set_title(name, color=colour, fontsize=15, fontweight="bold", loc="left", x=0.03)
     _words(figure, height, "Two robots, two maps, by odometry alone", subtitle)
     _legend(figure, [Line2D([], [], color=INK, linewidth=0, marker="o", markersize=4, label="keyframes")])
     figure.savefig(path, dpi=DOTS)

@@ -8,7 +8,7 @@ from spdz.foundations.types import Security
 DESCRIPTOR = "lidar"
 """The descriptor's name."""
 STRIKES = 12
-"""Matches that may fail to verify before a robot stops comparing: corridors need more than the usual three."""
+"""Matches that may fail to verify before a robot stops comparing: corridors need more than three."""
 
 
 def plan_text(alice: Robot, bob: Robot, security: Security) -> str:

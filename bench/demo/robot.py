@@ -26,7 +26,7 @@ from bench.demo.local_map import describes
 from bench.demo.plan import DESCRIPTOR
 from bench.demo.scan_context import Background
 from protocols.agent import Agent, Event, Meeting, Verdict
-from protocols.geometry.verification import verify_submaps
+from protocols.geometry.verifiers import laser
 from spdz.console.command import tune_process
 from spdz.foundations.types import FloatArray
 
@@ -82,7 +82,7 @@ class Verification:
         vector = meeting.other.vector
         if vector is None or not describes(self.public, meeting.other.payload, vector):
             return Verdict(False, "the submap is not of the place that was compared")
-        return Verdict(*verify_submaps(meeting.own.payload, meeting.other.payload))
+        return laser(meeting)
 
 
 class Clock:

@@ -134,8 +134,8 @@ def overheard(report: Report) -> Table:
     rows = [
         (
             "that two robots talk, when, and how much",
-            f"yes ({sent / 1e6:.1f} MB)",
-            f"yes ({clear / 1e6:.1f} MB)",
+            f"yes (about {sent / 1e6:.0f} MB)",
+            f"yes (about {clear / 1e6:.0f} MB)",
         ),
         ("how many keyframes and submaps", "roughly, from the amounts", "yes"),
         ("descriptors", "no", f"yes, all {sum(report.keyframes)}"),

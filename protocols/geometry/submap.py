@@ -80,7 +80,10 @@ class Submap:
                 f"a submap of {count:,} points takes {HEADER.size + 8 * count:,} bytes, got {len(payload):,}"
             )
         points = np.frombuffer(payload, dtype="<f4", offset=HEADER.size).reshape(-1, 2)
-        return Submap(points.astype(np.float64), walls)
+        with np.errstate(
+            invalid="ignore"
+        ):  # a signalling NaN warns when it is cast; it is refused as any other
+            return Submap(points.astype(np.float64), walls)
 
 
 def thin(points: npt.NDArray[np.float64], square: float = SQUARE) -> FloatArray:
