@@ -1,6 +1,6 @@
 """``python -m bench``: what a comparison costs, beside the textbook protocol and no security at all.
 
-More commands measure something else: ``gallery``, ``accuracy`` and ``oracle``, each in a file of its own.
+More commands measure something else, each in a file or folder of its own: ``COMMANDS``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 
 import bench.accuracy
 import bench.agents.cli
+import bench.attacks.cli
 import bench.gallery
 import bench.oracle
 from bench.pair import Measured, measure_clear, measure_secure
@@ -41,6 +42,7 @@ further commands, each with a --help of its own:
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench accuracy    how far secure scores are from the true ones
+  python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
 
 examples:
@@ -51,6 +53,7 @@ examples:
 COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "accuracy": bench.accuracy.main,
     "agents": bench.agents.cli.main,
+    "attacks": bench.attacks.cli.main,
     "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
 }

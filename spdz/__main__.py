@@ -20,6 +20,7 @@ def parser() -> argparse.ArgumentParser:
     """The arguments of every command."""
     from bench.demo.cli import add_demo
     from protocols.agent.cli import add_agent
+    from protocols.agent.evidence import add_evidence
     from protocols.check.cli import add_check
     from protocols.cli import add_match
     from protocols.stacks.cli import add_replay, add_ros
@@ -33,6 +34,7 @@ def parser() -> argparse.ArgumentParser:
     commands = arguments.add_subparsers(required=True, metavar="COMMAND")
     add_match(commands)
     add_agent(commands)
+    add_evidence(commands)
     add_ros(commands)
     add_replay(commands)
     add_tape(commands)

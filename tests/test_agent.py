@@ -38,6 +38,18 @@ def test_keyframes_that_come_one_by_one_are_matched_as_they_come(tmp_path: Path)
             until(lambda i=i: (i, i) in found(alice, "verified") and (i, i) in found(bob, "verified"))
 
 
+def test_a_place_that_was_seen_twice_is_shown_once_and_matched_twice(tmp_path: Path) -> None:
+    mission = deal(tmp_path, plan())
+    a = places(1, 16, seed=1)
+    alice, bob = robots(mission, verify=honest)
+    with alice, bob:
+        feed(alice, 0, a)
+        feed(bob, 0, a)
+        until(lambda: (0, 0) in found(alice, "verified") and (0, 0) in found(bob, "verified"))
+        feed(bob, 1, near(a, seed=2))  # Bob has seen Alice's half already
+        until(lambda: (0, 1) in found(alice, "verified") and (1, 0) in found(bob, "verified"))
+
+
 def test_three_robots_match_pair_by_pair(tmp_path: Path) -> None:
     mission = deal(tmp_path, plan(more=CAROL))
     shared = places(3, 16, seed=1)
@@ -84,7 +96,7 @@ def test_what_was_not_read_before_a_restart_comes_after_it(tmp_path: Path) -> No
         feed(bob, 0, a)
         until(lambda: len(found(alice, "verified")) == len(found(bob, "verified")) == 2)
         seen = next(bob.matches(0.0))
-        bob.stop()
+        bob.close()
         with bobs(mission, alice) as again:
             rest = list(again.matches(0.0))
     assert seen.number == 1 and [match.number for match in rest] == [1, 2, 3, 4]

@@ -173,10 +173,17 @@ def test_a_peer_of_another_mission_is_told_on_both_sides(tmp_path: Path) -> None
 
 def test_records_of_another_mission_are_refused(tmp_path: Path) -> None:
     mission, other = deal(tmp_path / "one", plan()), deal(tmp_path / "two", plan())
-    Agent(mission / "alice", listen="127.0.0.1:0").stop()
+    Agent(mission / "alice", listen="127.0.0.1:0").close()
     (other / "alice" / "agent.db").write_bytes((mission / "alice" / "agent.db").read_bytes())
     with pytest.raises(RecordsError, match="of another mission"):
         Agent(other / "alice", listen="127.0.0.1:0")
+
+
+def test_two_agents_do_not_share_a_folder(tmp_path: Path) -> None:
+    mission = deal(tmp_path, plan())
+    with Agent(mission / "alice", listen="127.0.0.1:0", state_dir=tmp_path / "a"):
+        with pytest.raises(RecordsError, match="another agent works in"):
+            Agent(mission / "alice", listen="127.0.0.1:0", state_dir=tmp_path / "a")
 
 
 def test_a_damaged_record_file_is_refused(tmp_path: Path) -> None:

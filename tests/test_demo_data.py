@@ -14,8 +14,10 @@ import pytest
 from bench.demo import dataset, places, scan_context
 from bench.demo.cli import NEEDS
 from bench.demo.dataset import Run
-from bench.demo.local_map import LocalMap
+from bench.demo.local_map import LocalMap, describes
+from bench.demo.mapping import PublicMap
 from bench.demo.places import Robot, robots, truth
+from protocols.geometry.submap import Submap
 from spdz.foundations.types import FloatArray
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -339,6 +341,33 @@ def test_robots_find_common_places_with_few_mistakes(pair: tuple[Robot, Robot]) 
 
 def test_robot_shows_neither_path_nor_descriptors_in_its_repr(pair: tuple[Robot, Robot]) -> None:
     assert repr(pair[1]) == "Robot(name='bob', turns=1)"
+
+
+def test_submap_gives_the_descriptor_that_was_compared_and_no_other(
+    run: Run, pair: tuple[Robot, Robot]
+) -> None:
+    public = PublicMap.of(run, places.SPACING).background
+    for robot in pair:
+        local = robot.local
+        assert len(local.payloads) == len(robot.descriptors) == len(local.keyframes)
+        opened = np.round(robot.descriptors * 2**16) / 2**16
+        for keyframe in range(0, len(opened) - 1, 9):
+            payload = local.payloads[keyframe]
+            assert describes(public, payload, opened[keyframe])
+            assert not describes(public, payload, opened[keyframe + 1])
+            assert not describes(public, payload, -opened[keyframe])
+            assert not describes(public, payload[:-8], opened[keyframe])
+
+
+def test_submap_lies_in_the_keyframes_frame(run: Run, pair: tuple[Robot, Robot]) -> None:
+    local = pair[0].local
+    for keyframe in (0, 20, 40):
+        scan = local.keyframes[keyframe]
+        own = scan_context.scan_points(run.ranges[scan : scan + 1], run.bearings, np.zeros((1, 3)))[0]
+        own = own[np.isfinite(own[:, 0])]
+        points = Submap.from_bytes(local.payloads[keyframe]).points
+        distance = np.hypot(*(own[:, None] - points[None]).T).min(axis=0)
+        assert np.median(distance) < 0.05 and len(points) == len(np.unique(points, axis=0))
 
 
 def test_robots_refuse_a_run_without_public_map() -> None:

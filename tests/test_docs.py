@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import bench.accuracy
+import bench.agents.cli
 import bench.cli
 import bench.gallery
 import bench.gallery_pairs
@@ -29,7 +30,14 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 WITH_EXAMPLES = [ROOT / "README.md", *(ROOT / "docs" / f"{p}.md" for p in ("tutorial", "how-to", "scores"))]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FOREIGN_OPTIONS = {"--help", "--version"}
+FOREIGN_OPTIONS = {
+    "--help",
+    "--version",
+    "--protocol",
+    "--tls-ca-file",
+    "--nthreads",
+    "--nworkers",
+}  # of Dask
 ERRORS = [key for key, item in vars(errors).items() if isinstance(item, type)]
 
 
@@ -257,7 +265,7 @@ def known_options() -> set[str]:
     commands = spdz.__main__.parser()
     (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
-    parsers += [bench.accuracy.parser(), bench.oracle.parser()]
+    parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.oracle.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 

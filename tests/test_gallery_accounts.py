@@ -15,9 +15,9 @@ BIG = (60_000, 60_000)
 
 
 def plan(pair=1, slots=1):
-    """Rounds of openings of a pair and of a slot."""
-    record = SimpleNamespace(openings=slots)
-    return SimpleNamespace(slots=(record, record), pair=SimpleNamespace(openings=pair))
+    """Unchecked openings in a row, of a pair and of a slot."""
+    record = SimpleNamespace(repeatable=slots == 1)
+    return SimpleNamespace(slots=(record, record), pair=SimpleNamespace(repeatable=pair == 1))
 
 
 def side(filled, ready=None, void=((), ()), done=(0, 0), flight=None):

@@ -13,8 +13,10 @@ from spdz.gallery.strip import Strip
 from spdz.readings.gallery import Terms
 from spdz.session.meeting import MOST, Standpoint, meet
 
-ONCE = SimpleNamespace(slots=(SimpleNamespace(openings=1),) * 2, pair=SimpleNamespace(openings=1))
-SEVERAL = SimpleNamespace(slots=(SimpleNamespace(openings=3),) * 2, pair=SimpleNamespace(openings=2))
+ONCE = SimpleNamespace(slots=(SimpleNamespace(repeatable=True),) * 2, pair=SimpleNamespace(repeatable=True))
+SEVERAL = SimpleNamespace(
+    slots=(SimpleNamespace(repeatable=False),) * 2, pair=SimpleNamespace(repeatable=False)
+)
 FIRST, SECOND = Strip(range(0, 5), range(0, 6)), Strip(range(5, 9), range(0, 6))
 PLAIN = Standpoint((9, 8), (9, 8), ([], []), (0, 0), None)
 CAPACITY = (1 << 16, 1 << 16)

@@ -79,6 +79,7 @@ def test_drop_after_drop_is_survived_strip_by_strip(dealt, tmp_path):
         ("S6", "malicious", {"min_norm": 0.5}),
         ("S1", "malicious", {}),
         ("S3", "semi-honest", {}),
+        ("S3", "malicious", {}),
         ("S10", "malicious", {"reveal": "score"}),
     ],
 )
@@ -123,7 +124,7 @@ def test_any_score_goes_on_after_a_drop_with_what_can_still_be_answered(tmp_path
                 known = ~np.isnan(found)
                 lost += int((~known).sum())
                 assert np.allclose(found[known], right[known], atol=2e-4)
-    assert (lost > 0) == (score == "S3")
+    assert (lost > 0) == (score == "S3" and security == "malicious")
 
 
 def test_the_end_of_the_last_step_is_served_by_a_robot_that_has_finished(dealt, tmp_path):

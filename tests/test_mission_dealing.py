@@ -204,13 +204,16 @@ def until(condition, seconds=20):
 def busy(tmp_path):
     """A dealer with two processes that would deal for a while, and which these are."""
     plan(tmp_path, LARGE)
-    process = run_python(DEAL, tmp_path, 2)
+    process = run_python(DEAL, tmp_path, 2, start_new_session=True)
     work = tmp_path / "m" / ROOM / "work"
     until(lambda: process.poll() is not None or (work.is_dir() and len(list(work.rglob("*.partial"))) == 4))
     workers = [pid for pid in children(process.pid) if "spawn_main" in command_line(pid)]
     assert len(workers) == 2, process.communicate()
     yield process, workers, work
     process.kill()
+    for pid in workers:
+        if "spawn_main" in command_line(pid):  # it should have ended by now
+            os.kill(pid, signal.SIGKILL)
     process.communicate()
 
 
@@ -241,9 +244,9 @@ def test_a_process_that_dies_stops_the_dealer_with_a_sentence_and_leaves_no_half
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are found in /proc")
 def test_ctrl_c_ends_the_dealer_at_once_and_leaves_no_half_dealt_pair(busy):
     process, workers, work = busy
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, told = process.communicate(timeout=30)
-    assert told.rstrip().endswith("KeyboardInterrupt")
+    assert told.rstrip().endswith("KeyboardInterrupt") and told.count("Traceback") == 1
     assert list(work.iterdir()) == []
     assert not any("spawn_main" in command_line(pid) for pid in workers)
 
@@ -457,7 +460,8 @@ def test_a_file_in_the_folders_place_is_told(tmp_path, couple, name):
 def test_workers_are_as_many_as_there_are_cores_and_memory_for(monkeypatch):
     monkeypatch.setattr(deal, "cores", lambda: 8)
     monkeypatch.setattr(deal, "available_memory", lambda: 1000)
-    assert [deal.workers_for(size) for size in (1, 125, 300, 5000)] == [8, 8, 3, 1]
+    assert [deal.workers_for(size, 10**6) for size in (1, 125, 300, 5000)] == [8, 8, 3, 1]
+    assert deal.workers_for(1, 100) == 1  # others would come too late
     assert here.cores() >= 1
 
 
@@ -486,6 +490,15 @@ def test_the_command_tells_a_broken_plan_by_its_line(tmp_path, capsys):
     assert f"{path}:3: descriptors.lidar.dim: expected a whole number" in told.err and told.out == ""
     assert cli.main([str(path), "--plan", "--json"]) == 2
     assert '"error": "PlanError"' in capsys.readouterr().out
+
+
+def test_who_interrupts_the_command_is_told_how_to_go_on(tmp_path, couple, capsys, monkeypatch):
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(deal, "deal_here", interrupted)
+    assert cli.main([str(tmp_path / "mission.toml"), "--out", str(tmp_path / "m")]) == 130
+    assert "give the same command to go on" in capsys.readouterr().err
 
 
 def test_a_lost_process_is_a_failure_and_no_mistake_of_the_user(tmp_path, couple, capsys, monkeypatch):

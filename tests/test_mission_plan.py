@@ -1,6 +1,8 @@
 """A mission's plan: what it means, and a sentence with the line for everything that is wrong in one."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -394,3 +396,30 @@ def test_descriptors_that_fit_alone_may_not_fit_a_place(load):
     assert load(text.partition("[places")[0])
     with pytest.raises(PlanError, match="57 bits"):
         load(text.replace("dim = 8", "dim = 800_000"))
+
+
+# -- what the documentation says --------------------------------------------------------------------------
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+
+
+def test_the_plan_of_the_how_to_can_be_dealt(load):
+    (text,) = re.findall(r"^```toml\n(.*?)^```$", (DOCS / "how-to.md").read_text(), re.MULTILINE | re.DOTALL)
+    mission = load(text)
+    assert [gallery.name for gallery in mission.galleries] == ["lidar", "camera"]
+    assert mission.descriptor("lidar").threshold == 0.45
+    assert mission.gallery("camera").slots(("bob", "carol")) == (300, 500)
+
+
+def test_the_reference_names_every_field_and_the_numbers_of_every_kind(load):
+    section = (DOCS / "reference.md").read_text().partition("### mission.toml")[2].partition("\n### ")[0]
+    spans = set(re.findall(r"`([^`\n]+)`", section))
+    values = load(PLACES).as_json()
+    tables = [values, values["agents"][0], values["descriptors"]["lidar"], values["budgets"]]
+    tables.append(values["places"]["everywhere"])
+    named = {key for table in tables for key in table} - {"agents", "descriptors", "places", "budgets"}
+    assert named <= spans
+    assert {"[[agents]]", "[descriptors.NAME]", "[places.NAME]", "[budgets]"} <= spans
+    for kind in KINDS.values():
+        row = f"| {kind.score}, {kind.dim}, {kind.threshold} | {kind.min_norm:g} to {kind.max_norm:g} |"
+        assert re.search(rf"^\| {kind.name} \|.*{re.escape(row)}$", section, re.MULTILINE), kind

@@ -1,7 +1,9 @@
 """Places of several descriptors: one bit a pair, that of the clear decision, and no other."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from spdz.readings.gallery_plan import measure_gallery
 from spdz.readings.party import Party
 from spdz.values.standing import Standing
 
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 SECURITIES = ["malicious", "semi-honest"]
 RULES = ["any", "all"]
 KINDS = {
@@ -204,6 +207,7 @@ def test_a_place_with_one_descriptor_costs_what_a_descriptor_costs():
 @pytest.mark.parametrize(
     ("parts", "rule", "stored", "sent", "rounds"),
     [
+        ((Part("lidar", "S10", 1200),), "any", 320, 16.125, 4),
         ((Part("lidar", "S10", 1200, 4),), "any", 1392, 80.625, 8),
         ((Part("camera", "S10", 1536), Part("lidar", "S10", 1200)), "any", 704, 48.375, 8),
         ((Part("camera", "S10", 1536), Part("lidar", "S10", 1200)), "all", 720, 48.375, 8),
@@ -216,6 +220,40 @@ def test_a_pair_costs_what_the_page_of_scores_says(parts, rule, stored, sent, ro
     pair = measure_gallery(PlacePurpose(parts, rule).dealt_terms("malicious")).pair
     assert max(pair.correction_bytes) == stored and pair.rounds == rounds
     assert 16 * pair.elements_sent[0] + pair.bits_sent / 8 == sent and pair.repeatable
+    turns = (f"S10 of {f'{part.turns} x ' if part.turns > 1 else ''}{part.dim:,}" for part in parts)
+    said = rule if len(parts) > 1 else ""
+    row = f"| {', '.join(turns)} | {said} | {stored:,} bytes | {sent:g} bytes | {rounds} |".replace(
+        "|  |", "| |"
+    )
+    assert row in (DOCS / "scores.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize(
+    "turns", [(4,), (1, 1), (1, 1, 1, 1), (5, 1), (3, 1, 1), (2, 3), (3, 3, 1), (16, 16)]
+)
+def test_a_pair_stores_what_the_formulas_of_the_spec_say(turns, rule):
+    parts = tuple(Part(f"p{i}", "S10", 64, count) for i, count in enumerate(turns))
+    pair = measure_gallery(PlacePurpose(parts, rule).dealt_terms("malicious")).pair
+    alone = measure_gallery(GalleryPurpose("S10", 64).dealt_terms("malicious")).pair
+    several, single = sorted(t for t in turns if t > 1), turns.count(1)
+    text = (DOCS / "spec" / "protocols.md").read_text(encoding="utf-8").partition("## 27.")[2]
+    known, total = {"L": max(alone.correction_bytes) // 16 - 2}, 0
+
+    def add(row, times=1, **more):
+        nonlocal total
+        (formula,) = re.findall(rf"^\| {row} \| `(.*)` \|$", text, re.MULTILINE)
+        total += times * eval(formula, known | more)
+
+    add("S10 of one turn, L as in section 21", sum(turns))
+    if rule == "any":
+        add("the bit, M as above", M=sum(turns) - 1)
+    else:
+        for count in several[:-1]:
+            add("a part that is decided in 27.8", M=count - 1)
+        n, t = single + len(several[:-1]), (several or [0])[-1]
+        add("the bit, M as above", M=t * n + 1 if n and t else n or t - 1)
+    assert pair.correction_bytes == (total, total)
 
 
 # -- the numbers that fit a header --------------------------------------------------------------------------

@@ -47,7 +47,9 @@ def test_robots_stream_places_over_a_link_that_breaks(mission, capsys):
             gallery.step()
         return table_of(gallery.results(), (8, 6) if party == 0 else (6, 8))[0], gallery.filled
 
-    (mine, rows), (theirs, columns) = robots(mission, Link([(0, 2500), (1, 4500)]), work, threshold=None, terms=TERMS)
+    link = Link([(0, 2500), (1, 4500)])
+    (mine, rows), (theirs, columns) = robots(mission, link, work, threshold=None, terms=TERMS)
+    assert len(link.sent) == 3
     truth = decisions(PURPOSE, *both(), LIMITS)
     assert truth.any() and not truth.all()
     assert np.array_equal(mine[np.ix_(rows, columns)], truth)

@@ -1,5 +1,6 @@
 """One port for all peers: calls, their topics, and how they are taken."""
 
+import socket
 import threading
 import time
 
@@ -171,6 +172,35 @@ def test_a_caller_whose_port_begins_anew_calls_again(folders, open_port):
         assert_alive(here, there)
 
 
+# --- peers that are gone
+
+
+def test_a_peer_that_calls_again_is_noticed_beside_the_channel_that_it_had(folders, open_port):
+    port = open_port()
+    here, there = connected(folders, port)
+    with here, there:
+        assert not port.is_called("bob", "lidar")
+        again = Background(calling(folders, port))
+        until(lambda: port.is_called("bob", "lidar"))
+        assert not port.is_called("bob", "camera") and not port.is_called("carol", "lidar")
+    with port.take("bob", "lidar", 0) as here, again.wait() as there:
+        assert_alive(here, there)
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_KEEPIDLE"), reason="this system calls it otherwise")
+@pytest.mark.parametrize(("timeout", "longest"), [(0.5, 5), (30.0, 30), (1e12, 32767)])
+def test_the_system_watches_over_an_idle_channel(folders, open_port, timeout, longest):
+    for end in connected(folders, open_port(timeout=timeout), timeout=timeout):
+        with end:
+            option = end._stream._socket.getsockopt
+            assert option(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+            idle, between, probes = (
+                option(socket.IPPROTO_TCP, code)
+                for code in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT)
+            )
+            assert min(timeout, longest) * 0.8 <= idle + between * probes <= longest
+
+
 # --- waiting
 
 
@@ -190,7 +220,7 @@ def test_a_take_can_be_stopped(open_port):
 
 def test_a_call_can_be_stopped_while_the_peer_does_not_take_it(folders, open_port):
     port, stop = open_port(), threading.Event()
-    caller = Background(calling(folders, port, stop=stop))
+    caller = Background(calling(folders, port, timeout=10 * LONG, wait=float("inf"), stop=stop))
     until(lambda: parked(port))
     stop.set()
     with pytest.raises(ChannelTimeout, match="stopped"):
@@ -269,9 +299,15 @@ def test_unusable_credentials_are_refused(folders, tmp_path):
         Port("127.0.0.1:0", tmp_path, ["bob"], ["lidar"])
 
 
-@pytest.mark.parametrize(
-    ("key", "wait"), [(("dave", "lidar"), 0), (("bob", "radar"), 0), (("bob", "lidar"), -1)]
-)
-def test_a_take_that_can_never_succeed_is_refused(open_port, key, wait):
-    with pytest.raises(ValueError, match="takes no calls"):
-        open_port().take(*key, wait)
+@pytest.mark.parametrize("key", [("dave", "lidar"), ("bob", "radar")])
+def test_a_take_that_can_never_succeed_is_refused(open_port, key):
+    port = open_port()
+    for ask in (lambda: port.take(*key, 0), lambda: port.is_called(*key)):
+        with pytest.raises(ValueError, match="takes no calls"):
+            ask()
+
+
+@pytest.mark.parametrize("wait", [-1, float("nan")])
+def test_a_wait_is_a_number_of_seconds(open_port, wait):
+    with pytest.raises(ValueError, match="wait must be"):
+        open_port().take("bob", "lidar", wait)

@@ -193,16 +193,18 @@ def test_closing_does_not_wait_for_the_resolver(folders, names, monkeypatch):
 
 
 def test_a_port_can_be_closed_by_whoever_is_told(folders, open_port):
-    ports = []
+    ports, done = [], []
 
     def told(text):
         if text.startswith("refused"):
             ports[0].close()
+            done.append(text)
 
     ports.append(open_port(on_event=told))
     with dial(ports[0].addresses[0]) as sock:
         sock.sendall(b"GET / HTTP/1.1\r\n\r\n")
     until(lambda: not ports[0]._thread.is_alive())
+    assert done
 
 
 def test_descriptors_are_given_back(folders, open_port):

@@ -10,7 +10,7 @@ from gallery_insider import Lies, instead
 from gallery_session_helpers import Product, cables, feed, no_errors
 from test_revealing import SLOTS, TERMS, again, all_pairs, assert_right, data
 
-from spdz.foundations.errors import ChannelClosed, MacCheckFailed, SpdzError
+from spdz.foundations.errors import ChannelClosed, MacCheckFailed, ProtocolViolation, SpdzError
 from spdz.readings.gallery import Terms
 from spdz.rounds.mac_check import MacCheck
 from spdz.session import GallerySession, revealing
@@ -260,6 +260,27 @@ def test_what_the_peer_calls_a_match_is_none(compared, evil):
     outcomes = compared().meet(work, channels=ends, kinds=kinds)
     assert type(outcomes[1 - evil]).__name__ == "OutOfStep"
     assert [frame[0] for frame in ends[1 - evil].frames[TELL:]] == ["CONTROL"]
+
+
+@pytest.mark.parametrize("evil", [0, 1])
+def test_a_vector_that_is_too_long_is_not_opened_where_norms_are_not_proved(galleries, evil):
+    """It matches more than it should, and gets this side's descriptor; it has none that would pass."""
+    mission = galleries(Terms(Product(), 4, proof=False), SLOTS)
+    vectors = data()
+    huge = Lies(vectors=[np.rint(1.8 * 65536 * vectors[1 - evil][0]).astype(np.int64)], follow=False)
+
+    def work(session):
+        if session.party != evil:
+            session.add(vectors[session.party])
+        session.step()
+        own, peer = all_pairs(session)
+        assert own and peer
+        return session.reveal(own, peer)
+
+    kinds = [GallerySession, GallerySession]
+    kinds[evil] = huge
+    outcome = mission.meet(work, channels=cables(), kinds=kinds)[1 - evil]
+    assert isinstance(outcome, ProtocolViolation), outcome
 
 
 # --- a peer that leaves

@@ -17,8 +17,8 @@ of the clear computation.
 """
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
+def parser() -> CommandParser:
+    """The arguments of ``python -m bench agents``."""
     arguments = CommandParser(prog="python -m bench agents", description=_ABOUT)
     add = arguments.add_argument
     add("--robots", type=int, default=3, help="2 to 6 (3)")
@@ -34,6 +34,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     add("--security", choices=("malicious", "semi-honest"), default="malicious")
     add("--json", action="store_true", help="one JSON object")
+    return arguments
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit status."""
+    arguments = parser()
     options = arguments.parse_args(argv)
     good = options.keyframes >= 1 and options.kills >= 0 and options.rate > 0
     if not (good and 2 <= options.robots <= len(NAMES)):

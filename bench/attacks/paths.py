@@ -7,7 +7,9 @@ Here beside a stronger attack on the same broadcast, and both attackers' counter
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -56,10 +58,11 @@ class PathRow:
         claimed: Keyframes that it gives a position for.
         localised: Keyframes that it gives a position for within 4 m.
         share: Of all keyframes that are localised.
-        median_m: Median error.
-        mean_m: Mean error.
+        median_m: Median error; None if it claims none.
+        mean_m: Mean error; None if it claims none.
         unseen: Keyframes more than 4 m from Bob's own path.
         unseen_localised: Of these, localised ones.
+        unseen_median_m: Median error over these, of those that it gives a position for; None if for none.
     """
 
     attack: str
@@ -69,10 +72,11 @@ class PathRow:
     claimed: int
     localised: int
     share: float
-    median_m: float
-    mean_m: float
+    median_m: float | None
+    mean_m: float | None
     unseen: int
     unseen_localised: int
+    unseen_median_m: float | None
 
 
 def reconstructions(world: World) -> list[Reconstruction]:
@@ -175,8 +179,13 @@ def judged(found: Reconstruction, world: World) -> PathRow:
         claimed=int(claimed.sum()),
         localised=int(right.sum()),
         share=round(float(right.mean()), 3),
-        median_m=round(float(np.median(error[claimed])), 2) if claimed.any() else float("nan"),
-        mean_m=round(float(error[claimed].mean()), 2) if claimed.any() else float("nan"),
+        median_m=_rounded(np.median, error[claimed]),
+        mean_m=_rounded(np.mean, error[claimed]),
         unseen=int(world.unseen.sum()),
         unseen_localised=int((right & world.unseen).sum()),
+        unseen_median_m=_rounded(np.median, error[claimed & world.unseen]),
     )
+
+
+def _rounded(statistic: Callable[[FloatArray], Any], errors: FloatArray) -> float | None:
+    return round(float(statistic(errors)), 2) if len(errors) else None

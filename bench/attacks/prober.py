@@ -115,8 +115,10 @@ class Prior:
         gain = across @ np.linalg.pinv(axes.T @ across, rcond=1e-9)
         mean = self.mean + gain @ (values - axes.T @ self.mean)
         mean = mean + axes @ (values - axes.T @ mean)
-        rest = np.eye(len(mean)) - axes @ axes.T
-        left = rest @ (self.covariance - gain @ across.T) @ rest
+        left = self.covariance - gain @ across.T
+        # What rounding leaves along the axes is taken out on both sides, without a product of two matrices.
+        left = left - axes @ (axes.T @ left)
+        left = left - (left @ axes) @ axes.T
         return Prior(mean, (left + left.T) / 2)
 
 
@@ -166,7 +168,9 @@ def probe(
     def guess(vector: FloatArray) -> None:
         cosines.append(float(vector @ hidden / max(float(np.linalg.norm(vector)), 1e-300)))
 
-    start = prior.given(first[:, None], np.array([threshold])).mean
+    # That the first one matches tells something only where the prior did not expect it.
+    expected = float(first @ prior.mean) >= threshold
+    start = prior.mean if expected else prior.given(first[:, None], np.array([threshold])).mean
     # Step 2: the edge, on the way from the match over a random direction to the match's opposite.
     away = _orthogonal(generator.standard_normal(len(hidden)), first)
     low, high = 0.0, pi
@@ -192,10 +196,10 @@ def probe(
     for _ in range(_LENGTH_BITS):
         middle = (low + high) / 2
         low, high = (middle, high) if above(beside, middle) else (low, middle)
-        left = prior.given(known, np.array([threshold, (low + high) / 2]))
-        guess(left.mean)
+        guess(start)
 
     # Step 4.
+    left = prior.given(known, np.array([threshold, (low + high) / 2]))
     variances, axes = np.linalg.eigh(left.covariance)
     best, centre = left.mean.copy(), axes.T @ left.mean
     open_cells = [(-v * _gain(0, 0), i, 0, 0) for i, v in enumerate(variances) if v > 1e-9]

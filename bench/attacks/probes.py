@@ -28,8 +28,8 @@ ISOTROPIC = 1536
 """Dimension of the isotropic descriptors."""
 STRIKES, SLOTS = 3, 300
 """Unexplained matches after which a robot stops; slots that a mission deals."""
-_RANDOM = 10_000
-"""Random unit vectors that are tried."""
+_RANDOM = 1000
+"""Random unit vectors that are tried for each target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +148,10 @@ def _measured(
     public = kind.public
     equal = np.full(dim, 1 / sqrt(dim))
     foreign = None if public is None else public @ victim.T >= threshold
-    chance = _unit(np.random.default_rng([seed, 1]).standard_normal((_RANDOM, dim))) @ victim.T >= threshold
+    chance = (
+        _unit(np.random.default_rng([seed, 1]).standard_normal((_RANDOM * targets, dim))) @ victim.T
+        >= threshold
+    )
     chosen = np.linspace(0, len(victim) - 1, min(targets, len(victim))).round().astype(np.int64)
     probings = []
     for target in chosen:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.attacks.paths import exchanged_matches
-from bench.attacks.world import CELLS, Places, World
+from bench.attacks.world import CELLS, Places, World, quarter_turned
 from bench.demo.scan_context import Background, quarter_turns
 from spdz.foundations.types import FloatArray
 
@@ -41,10 +41,13 @@ class Decoder:
     cut: float
 
     @staticmethod
-    def fit(own: Places, background: Background) -> Decoder:
-        """Fit on the attacker's own places; the cut is chosen on the last quarter of them."""
-        x = background.describe(np.concatenate([quarter_turns(grid, 4) for grid in own.grids]))
-        y = np.concatenate([[np.rot90(seen, turn) for turn in range(4)] for seen in own.occupancy])
+    def fit(own: Places, background: Background, turns: int = 4) -> Decoder:
+        """Fit on the attacker's own places, in so many quarter turns each.
+
+        The cut is chosen on the last quarter of them, by a fit on the others.
+        """
+        x = background.describe(np.concatenate([quarter_turns(grid, turns) for grid in own.grids]))
+        y = np.concatenate([quarter_turned(seen, turns) for seen in own.occupancy])
         y = y.reshape(len(x), -1).astype(np.float64)
         held = len(x) * 3 // 4
         trial = Decoder(*_ridge(x[:held], y[:held, ::_TRIED]), 0.0)
@@ -58,7 +61,10 @@ class Decoder:
 
 
 def _ridge(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and weights; by the dual problem where there are fewer examples than numbers in a descriptor."""
     mean = y.mean(axis=0)
+    if len(x) < x.shape[1]:
+        return mean, x.T @ np.linalg.solve(x @ x.T + RIDGE * np.eye(len(x)), y - mean)
     return mean, np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ (y - mean))
 
 
@@ -117,14 +123,15 @@ class Rebuilt:
     revealed: npt.NDArray[np.bool_] = field(repr=False)
 
 
-def rebuild(world: World, seed: int) -> Rebuilt:
+def rebuild(world: World, seed: int, turns: int = 4) -> Rebuilt:
     """Fit on Bob's scans and rebuild Alice's.
 
     Args:
         world: Who attacks whom.
         seed: Of the permutation that the baseline uses.
+        turns: Quarter turns of each of Bob's scans that are examples.
     """
-    decoder = Decoder.fit(world.dense, world.public.background)
+    decoder = Decoder.fit(world.dense, world.public.background, turns)
     true = world.alice.occupancy.reshape(len(world.alice), -1)
     constant = np.tile(decoder.mean, (len(true), 1))
     guessed = decoder.occupancy(world.alice.descriptors)

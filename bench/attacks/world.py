@@ -114,6 +114,19 @@ def occupied(points: FloatArray) -> npt.NDArray[np.bool_]:
     return grid
 
 
+def quarter_turned(occupancy: npt.NDArray[np.bool_], turns: int) -> npt.NDArray[np.bool_]:
+    """Occupied cells and their next quarter turns, anticlockwise, as ``quarter_turns`` has it of polar grids.
+
+    Args:
+        occupancy: ``(CELLS, CELLS)``; the first axis is x.
+        turns: How many, itself included.
+
+    Returns:
+        ``(turns, CELLS, CELLS)``.
+    """
+    return np.stack([np.rot90(occupancy, turn) for turn in range(turns)])
+
+
 def _places(run: Run, scans: range, public: PublicMap, spacing: float) -> Places:
     at = keyframes(run, scans, spacing)
     around = list(submaps(run, scans, dead_reckoning(run, scans), public.walls, at))

@@ -1,6 +1,7 @@
-"""Both robots at work: two processes compare all keyframes privately; of pairs that match, submaps are shown.
+"""Both robots at work: two processes, an agent each, that meet over TLS on loopback.
 
-The processes are ``python -m spdz match``; the submaps of pairs that matched go from hand to hand here.
+They compare all keyframes privately. Of pairs that match, and of no others, each shows the other its submap
+and verifies what it is shown (:mod:`bench.demo.robot`).
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bench.demo.local_map import describes
 from bench.demo.places import Robot
+from bench.demo.robot import write_bag
 from bench.demo.scan_context import Background
 from bench.parties import free_port
-from protocols.geometry.verification import Verified, verify_submaps
+from protocols.geometry.poses import Pose
+from protocols.geometry.verification import Verified
 
 TIMEOUT = 300.0
 """Seconds after which a robot's process counts as hung."""
@@ -32,18 +34,18 @@ class DemoFailed(RuntimeError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchanged:
-    """What both robots came to know, and what it took.
+    """What both robots came to know, and what it took; pairs are Alice's, Bob's.
 
     Attributes:
-        decisions: ``(n_alice, n_bob)``, descriptor by descriptor: which pairs match.
+        decisions: ``(n_alice, n_bob)``, which pairs match.
         verdicts: Of the pairs that match, by Alice's and Bob's keyframe; transforms are of Bob's keyframe in
             Alice's frame.
-        bytes_sent: By Alice and by Bob, for the comparisons.
+        bytes_sent: For the comparisons.
         rounds: Of the comparisons.
-        milliseconds: Of the comparisons, the slower robot's.
-        shown: Keyframes whose submap Alice and Bob showed.
+        milliseconds: Of the comparisons, the slower robot's, from the connection on.
+        shown: Keyframes whose submap a robot has shown.
         payload_bytes: Of these submaps.
-        verifying: Milliseconds that one verdict takes.
+        verifying: Milliseconds that one verdict takes, the median of the slower robot.
     """
 
     decisions: npt.NDArray[np.bool_] = field(repr=False)
@@ -56,74 +58,89 @@ class Exchanged:
     verifying: float
 
 
-def exchange(folder: Path, alice: Robot, bob: Robot, threshold: float, public: Background) -> Exchanged:
-    """Run both robots.
+def exchange(mission: Path, alice: Robot, bob: Robot, public: Background) -> Exchanged:
+    """Run both robots, each with its own dealt folder and its own scans only.
 
     Raises:
         DemoFailed: a robot's process fails, or the two report different things.
     """
-    first, second = _match(folder, (alice, bob), threshold)
-    decisions = _decisions(first)
-    if sorted((j, i) for i, j in second["matches"]) != sorted(map(tuple, first["matches"])):
-        raise DemoFailed("the two robots report different matches")
-    started = time.perf_counter()
-    verdicts = {}
-    for i, j in np.argwhere(bob.fold(decisions)).tolist():
-        own, other = alice.local.payloads[i], bob.local.payloads[j]
-        if not describes(public, other, bob.descriptors[j * bob.turns]):
-            raise DemoFailed("a submap does not give the descriptor that was compared")
-        verdicts[i, j] = verify_submaps(own, other)
-    seconds = time.perf_counter() - started
-    shown = {i for i, _ in verdicts}, {j for _, j in verdicts}
+    np.savez(mission / "public.npz", mean=public.mean, whitening=public.whitening)
+    address = f"127.0.0.1:{free_port()}"
+    calls = ["--listen", address], ["--call", f"{alice.name}={address}"]
+    commands = []
+    for robot, peer, call in ((alice, bob, calls[0]), (bob, alice, calls[1])):
+        bag = mission / robot.name / "bag.npz"
+        write_bag(bag, robot.descriptors, robot.local.payloads)
+        command = [sys.executable, "-m", "bench.demo.robot", str(mission / robot.name), "--bag", str(bag)]
+        command += ["--public", str(mission / "public.npz"), "--expect", str(len(peer.descriptors)), *call]
+        commands.append(command)
+    first, second = _run(commands)
+    verdicts = _verdicts(first)
+    others = {pair[::-1]: verdict for pair, verdict in _verdicts(second).items()}
+    if {pair: one.accepted for pair, one in verdicts.items()} != {
+        pair: one.accepted for pair, one in others.items()
+    }:
+        raise DemoFailed("the two robots report different matches or verdicts")
+    decisions = np.zeros((len(alice.descriptors), len(bob.descriptors)), dtype=np.bool_)
+    for pair in verdicts:
+        decisions[pair] = True
     return Exchanged(
         decisions=decisions,
         verdicts=verdicts,
         bytes_sent=(first["bytes_sent"], second["bytes_sent"]),
         rounds=first["rounds"],
         milliseconds=max(first["ms"], second["ms"]),
-        shown=(len(shown[0]), len(shown[1])),
-        payload_bytes=(
-            sum(len(alice.local.payloads[i]) for i in shown[0]),
-            sum(len(bob.local.payloads[j]) for j in shown[1]),
-        ),
-        verifying=seconds * 1e3 / max(1, len(verdicts)),
+        # Each counts what it was shown.
+        shown=(second["shown"], first["shown"]),
+        payload_bytes=(second["shown_bytes"], first["shown_bytes"]),
+        verifying=max(first["verify_ms"], second["verify_ms"]),
     )
 
 
-def _decisions(answer: dict[str, Any]) -> npt.NDArray[np.bool_]:
-    """Which pairs match, descriptor by descriptor, from one robot's answer, which numbers slots."""
-    decisions = np.zeros((len(answer["new"]), len(answer["peer_new"])), dtype=np.bool_)
-    rows, columns = ({slot: i for i, slot in enumerate(answer[name])} for name in ("new", "peer_new"))
-    for own, peer in answer["matches"]:
-        decisions[rows[own], columns[peer]] = True
-    return decisions
+def _verdicts(answer: dict[str, Any]) -> dict[tuple[int, int], Verified]:
+    """By own and peer's keyframe."""
+    verdicts = {}
+    for own, peer, state, why, transform, weight in answer["matches"]:
+        if state not in ("verified", "rejected"):
+            raise DemoFailed(f"keyframe {own} matches, but the peer's was not shown: {why}")
+        pose: Pose | None = None if transform is None else (transform[0], transform[1], transform[2])
+        verdicts[own, peer] = Verified(state == "verified", why, pose, 0.0 if weight is None else weight)
+    return verdicts
 
 
-def _match(folder: Path, robots: tuple[Robot, Robot], threshold: float) -> list[dict[str, Any]]:
-    """Run ``python -m spdz match`` once a robot, each with its own folder only."""
-    address = f"127.0.0.1:{free_port()}"
-    processes = []
-    for robot, peer, role in ((*robots, "--listen"), (*robots[::-1], "--connect")):
-        own = folder / robot.name
-        np.save(own / "descriptors.npy", robot.descriptors)
-        command = [sys.executable, "-m", "spdz", "match", "--json", role, address]
-        command += ["--tape", str(own / f"{peer.name}.tape"), "--threshold", repr(threshold)]
-        command += ["--descriptors", str(own / "descriptors.npy"), "--state-dir", str(own / "state")]
-        if role == "--connect":
-            command.append("--quiet")
-        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+def _run(commands: list[list[str]]) -> list[dict[str, Any]]:
+    """Run the robots' processes until both have told what they found; then let both end."""
+    processes = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for command in commands
+    ]
+    watch = threading.Timer(TIMEOUT, _end, [processes])
+    watch.start()
     try:
-        results = []
+        answers = []
         for process in processes:
-            output, _ = process.communicate(timeout=TIMEOUT)
-            answer = json.loads(output or "{}")
-            if process.returncode != 0 or "matches" not in answer:
-                raise DemoFailed(f"a robot's process failed: {answer.get('message', 'see above')}")
-            results.append(answer)
-        return results
-    except subprocess.TimeoutExpired:
-        raise DemoFailed(f"a robot's process did not finish within {TIMEOUT:.0f} s") from None
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            try:
+                answer = json.loads(line or "{}")
+            except ValueError:
+                raise DemoFailed(f"a robot's process said what is no answer: {line!r:.80}") from None
+            if "matches" not in answer:
+                raise DemoFailed(f"a robot's process failed: {answer.get('error', 'see above')}")
+            answers.append(answer)
+        for process in processes:
+            process.communicate("")
+        return answers
     finally:
+        watch.cancel()
+        _end(processes)
         for process in processes:
-            process.kill()
             process.wait()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    stream.close()
+
+
+def _end(processes: list[subprocess.Popen[str]]) -> None:
+    for process in processes:
+        process.kill()

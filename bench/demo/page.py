@@ -9,6 +9,7 @@ from importlib import resources
 
 from bench.demo import drawing
 from bench.demo.places import DIFFERENT, Robot
+from bench.demo.plan import STRIKES
 from bench.demo.result import Report
 from bench.demo.scene import View
 from bench.demo.tables import Table, cost, found, learned, overheard
@@ -131,20 +132,26 @@ def _verified(story: Story) -> str:
     right = {pair: story.apart(pair) <= DIFFERENT for pair in story.verdicts}
     rejected = report.candidates - report.verified
     false = [pair for pair in _pairs(story, False) if not right[pair]]
+    proof = ", under a MAC that proves it to be the one that was compared,"
+    proved = proof if report.security == "malicious" else ""
     strip = drawing.shares(story.verdicts, right, LEAST_SHARE)
     return f"""<h2>3. Submaps shown and verified, for candidates alone</h2>
-<p>For a candidate, and for nothing else, both robots show what their lasers saw around it. Each first
-computes the descriptor from what came and holds it against the one that was compared, so that nobody
-matches with one place and shows another. Then the submaps are laid upon each other (point-to-line ICP). A
-candidate counts if at least {least} of the points within {NEAR:.0f} m have one of the other's within
+<p>For a candidate, and for nothing else, both robots show each other the descriptor{proved} and what their
+lasers saw around it. Each computes the descriptor from the submap that came and holds one against the other, so
+that nobody matches with one place and shows another. Then it lays the submaps upon each other (point-to-line
+ICP). A candidate counts if at least {least} of the points within {NEAR:.0f} m have one of the other's within
 {INLIER * 100:.0f} cm, both ways: <b>{report.verified} verified, {rejected} rejected</b>, among them
-{_all_of(len(false), "that lie elsewhere")}. The others rejected were right: a loop too few costs
-little.</p>
+{_all_of(len(false), "that lie elsewhere")}.{_spared(rejected - len(false))} After {STRIKES} that fail a robot
+compares no more with the other until it is told to: whoever probes pays for each bit with a place that fits.</p>
 <div class="pair overlay">{"".join(_overlay(story, pair) for pair in _examples(story))}</div>
 <figure class="narrow">{strip}
 {_legend(("spot", "yes", "the same place in truth"), ("ring", "no", "another place"))}
 <figcaption>The share of points that agree, a dot a candidate; left of the line it is rejected.</figcaption>
 </figure>"""
+
+
+def _spared(count: int) -> str:
+    return f" The other {count} were right: a loop too few costs little." if count else ""
 
 
 def _all_of(count: int, words: str) -> str:

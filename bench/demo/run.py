@@ -15,11 +15,12 @@ from bench.demo.mapping import PublicMap
 from bench.demo.merged import merge
 from bench.demo.page import Story, page
 from bench.demo.picture import draw_before, draw_merged
+from bench.demo.plan import plan_text
 from bench.demo.result import Report
 from bench.demo.scene import views
-from dealer.gallery_mission import deal_galleries
-from protocols.catalog import GalleryPurpose
+from dealer.team.deal import deal_team
 from protocols.geometry.pose_graph import Solver
+from protocols.mission import Mission
 from protocols.scores import S10
 from spdz.console.progress import progress_bar
 from spdz.foundations.types import Security
@@ -45,31 +46,34 @@ def run_demo(out: Path, security: Security = "malicious", solver: Solver = "scip
     public = PublicMap.of(run, places.SPACING)
     alice, bob = places.robots(run, public=public)
     with tempfile.TemporaryDirectory(prefix="spdz-demo-") as folder:
-        purpose = GalleryPurpose("S10", dim=alice.descriptors.shape[1])
-        slots = len(alice.descriptors), len(bob.descriptors)
         _say("dealing, as the trusted dealer does before the mission")
+        (out / "mission.toml").write_text(plan_text(alice, bob, security), encoding="utf-8")
+        mission, dealing_room = Mission.load(out / "mission.toml"), Path(folder, "mission")
         started = time.perf_counter()
         with progress_bar("dealing") as bar:
-            dealt = deal_galleries(
-                Path(folder), (alice.name, bob.name), purpose, slots, security, progress=bar
-            )
+            dealt = deal_team(dealing_room, mission, workers=1, progress=bar)
         dealing = time.perf_counter() - started
-        _say("two robots compare all keyframes and verify what matches: two processes, TLS 1.3 on loopback")
-        told = exchange(Path(folder), alice, bob, places.DEFAULT_THRESHOLD, public.background)
+        _say("two agents compare all keyframes and verify what matches: two processes, TLS 1.3 on loopback")
+        told = exchange(dealing_room, alice, bob, public.background)
     _say("merging both maps")
     try:
         merged = merge(run, alice, bob, told.verdicts, solver)
     except ValueError as error:
         raise DemoFailed(f"the maps cannot be merged: {error}") from error
+    (gallery,) = mission.galleries
     truth = places.truth(alice, bob)
     scores = run_clear(S10.within(1.0), alice.descriptors[:, None], bob.descriptors[None]).value
     exact = scores >= places.DEFAULT_THRESHOLD
-    clear_cut = np.abs(scores - places.DEFAULT_THRESHOLD) > 2.0 ** -(purpose.resolution or 64) / 2
+    clear_cut = (
+        np.abs(scores - places.DEFAULT_THRESHOLD)
+        > 2.0 ** -(gallery.descriptors[0].purpose.resolution or 64) / 2
+    )
     private, clear = bob.fold(told.decisions), bob.fold(exact)
     verified = np.zeros_like(private)
     for pair, verdict in told.verdicts.items():
         verified[pair] = verdict.accepted
-    files = merged.write(out, run, alice, bob) + [out / name for name in ("map.png", "before.png")]
+    names = ("map.png", "before.png", "mission.toml")
+    files = merged.write(out, run, alice, bob) + [out / name for name in names]
     report = Report(
         security=security,
         keyframes=(len(alice.descriptors) // alice.turns, len(bob.descriptors) // bob.turns),
@@ -84,9 +88,9 @@ def run_demo(out: Path, security: Security = "malicious", solver: Solver = "scip
         verified_quality=places.precision_recall(verified, truth),
         disagreements=int(((told.decisions != exact) & clear_cut).sum()),
         errors=merged.errors,
-        dealt_slots=dealt.capacity,
+        dealt_slots=gallery.slots((alice.name, bob.name)),
         dealing_seconds=dealing,
-        folder_bytes=(dealt.folders[Path(folder, alice.name)], dealt.folders[Path(folder, bob.name)]),
+        folder_bytes=(dealt.folders[dealing_room / alice.name], dealt.folders[dealing_room / bob.name]),
         bytes_sent=told.bytes_sent,
         rounds=told.rounds,
         milliseconds=told.milliseconds,

@@ -38,9 +38,13 @@ def run(options: argparse.Namespace) -> None:
 def _deal(options: argparse.Namespace, mission: Mission) -> None:
     started = time.perf_counter()
     with progress_bar("dealing", quiet=options.quiet) as progress:
-        dealt = deal_team(
-            options.out, mission, workers=options.workers, cluster=_cluster(options), progress=progress
-        )
+        try:
+            dealt = deal_team(
+                options.out, mission, workers=options.workers, cluster=_cluster(options), progress=progress
+            )
+        except KeyboardInterrupt:
+            note(options, "what was dealt stays: give the same command to go on")
+            raise
     seconds = time.perf_counter() - started
     if options.json:
         print(json.dumps(_fields(mission, dealt, seconds)))

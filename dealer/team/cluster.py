@@ -21,7 +21,6 @@ from typing import Any
 
 from dealer.team.here import cores
 from dealer.team.pair import deal_pair, room_here
-from dealer.team.record import Record
 from dealer.team.room import Room
 from dealer.team.stopped import DealingStopped
 from dealer.team.tasks import Task, size_of
@@ -34,7 +33,7 @@ from spdz.version import __version__
 LOCAL = "local"
 POLL_SECONDS = 0.2
 _RETRIES = 3
-_TAKES = 10.0  # seconds to hand over a result that is there, or to take leave
+_TAKES = 10.0  # seconds to hand over an error that is there, or to take leave
 _SEEN = "seen"
 _SAME = "all machines need the same folder, at the same path"
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -119,8 +118,10 @@ def deal_on_cluster(
         }
         try:
             for future in _completed(client, list(futures), cluster.wait, poll):
-                task, record = futures[future], _result(future)
-                if not _until(partial(_is_recorded, room, task, record), cluster.wait):
+                check_future(future)
+                task = futures.pop(future)
+                future.release()  # or it would be computed again if its worker were lost now
+                if not _until(partial(_is_dealt, room, task), cluster.wait):
                     raise OSError(f"the dealer does not see {room.pair(task)}, which a worker wrote; {_SAME}")
                 on_dealt(task)
         finally:
@@ -128,16 +129,16 @@ def deal_on_cluster(
                 client.cancel(list(futures))
 
 
-def _is_recorded(room: Room, task: Task, record: Any) -> bool:
-    return bool(room.record(task) == record)
+def _is_dealt(room: Room, task: Task) -> bool:
+    return room.record(task) is not None
 
 
-def deal_on_worker(out: str, mission_id: str, version: str, couple: tuple[str, str], gallery: str) -> Record:
-    """:func:`dealer.team.pair.deal_pair` in a process of a cluster."""
+def deal_on_worker(out: str, mission_id: str, version: str, couple: tuple[str, str], gallery: str) -> str:
+    """:func:`dealer.team.pair.deal_pair` in a process of a cluster; returns the id of what is published."""
     tune_process()
     room, task = room_here(out, mission_id, version), Task(couple, gallery)
     require_memory(size_of(room.mission, task).memory, f"dealing {task.key}", "start fewer workers a machine")
-    return deal_pair(out, mission_id, couple, gallery, version)
+    return deal_pair(out, mission_id, couple, gallery, version).tape
 
 
 def probe_on_worker(out: str, mission_id: str, version: str, name: str) -> None:
@@ -159,17 +160,16 @@ def _check_workers(client: Any, room: Room, wait: float) -> None:
         raise DealingStopped(
             f"the cluster has had no worker for {wait:g} s: start some, and go on"
         ) from error
-    probes = {
-        client.submit(probe_on_worker, *_about(room), name, workers=[worker], retries=0, pure=False): name
-        for number, worker in enumerate(client.nthreads())
-        if (name := f"probe.{number}.{secrets.token_hex(8)}")
-    }
+    probes = {}
+    for worker in client.nthreads():
+        name = f"probe.{secrets.token_hex(8)}"
+        probes[client.submit(probe_on_worker, *_about(room), name, workers=[worker], pure=False)] = name
     _until(lambda: all(probe.done() for probe in probes), wait)
     for probe, name in probes.items():
         if not probe.done():  # busy: its tasks will tell
             client.cancel([probe])
             continue
-        _result(probe)
+        check_future(probe)
         if not _until((room.work / name / _SEEN).exists, wait):
             raise OSError(f"the dealer does not see what a worker wrote into {room.work}; {_SAME}")
         shutil.rmtree(room.work / name, ignore_errors=True)
@@ -202,10 +202,13 @@ def _has_workers(client: Any) -> bool:
         return False
 
 
-def _result(future: Any) -> Any:
-    """What a task returned; its own errors as they are, and the cluster's in a sentence."""
+def check_future(future: Any) -> None:
+    """Refuse a task that is done and did not succeed: its own error as it is, the cluster's in a sentence.
+
+    What a task returned is not fetched: it may be lost with its worker, and is in the room.
+    """
     if future.status == "finished":
-        return future.result(timeout=_TAKES)
+        return
     error = future.exception(timeout=_TAKES) if future.status == "error" else None
     if isinstance(error, (ValueError, OSError)):
         raise error

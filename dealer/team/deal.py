@@ -16,6 +16,8 @@ from dealer.team.watch import Watch
 from protocols.memory import available_memory, require_memory
 from protocols.mission import Mission
 
+_FEW = 20_000
+"""Pairs of slots that one process has dealt before others have started."""
 _REMEDY = "plan for fewer keyframes, a coarser resolution or a smaller max_norm, or choose another --out"
 
 
@@ -78,7 +80,8 @@ def deal_team(
         left = [task for task in sizes if room.record(task) is None]
         check_disk(out, sum(sum(sizes[task].tape_bytes) for task in left), _REMEDY)
         if left:
-            _deal(room, sizes, left, workers or workers_for(largest), cluster, progress)
+            pairs = sum(sizes[task].pairs for task in left)
+            _deal(room, sizes, left, workers or workers_for(largest, pairs), cluster, progress)
         return Dealt(room.mission_id, hand_out(room), len(sizes), len(sizes) - len(left))
 
 
@@ -97,6 +100,8 @@ def _deal(
         deal_on_cluster(room, left, cluster, on_dealt=watch.dealt, poll=watch.look)
 
 
-def workers_for(memory: int) -> int:
-    """Processes that this machine has cores for, and so much memory each."""
+def workers_for(memory: int, pairs: int) -> int:
+    """Processes that this machine has cores for, and so much memory each; one for few pairs of slots."""
+    if pairs < _FEW:
+        return 1
     return max(1, min(cores(), available_memory() // max(1, memory)))

@@ -44,7 +44,7 @@ class Forecast:
         galleries: Of each gallery what its largest pair of robots needs.
         robots: What each robot needs.
         tasks: Galleries of pairs of robots.
-        pairs_of_descriptors: In all.
+        pairs_of_slots: In all, as many as keyframes are expected to make.
         tape_bytes: Of all tapes.
         workers: Processes that deal.
         core_seconds: To deal all, of one core, the disk not counted.
@@ -55,7 +55,7 @@ class Forecast:
     galleries: dict[str, GalleryCost]
     robots: list[RobotCost]
     tasks: int
-    pairs_of_descriptors: int
+    pairs_of_slots: int
     tape_bytes: int
     workers: int
     core_seconds: float
@@ -75,7 +75,8 @@ def forecast(mission: Mission, workers: int | None = None) -> Forecast:
     """
     costs = _costs(mission)
     memory = max(cost.dealing_memory for cost in costs.values())
-    workers = min(workers or workers_for(memory), len(costs))
+    pairs = sum(cost.capacity[0] * cost.capacity[1] for cost in costs.values())
+    workers = min(workers or workers_for(memory, pairs), len(costs))
     seconds = [cost.dealing_seconds or 0.0 for cost in costs.values()]
     largest: dict[str, GalleryCost] = {}
     for task, cost in costs.items():
@@ -85,7 +86,7 @@ def forecast(mission: Mission, workers: int | None = None) -> Forecast:
         galleries={one.name: largest[one.name] for one in mission.galleries},
         robots=[_robot(mission, agent.name, costs) for agent in mission.agents],
         tasks=len(costs),
-        pairs_of_descriptors=sum(cost.pairs for cost in costs.values()),
+        pairs_of_slots=sum(cost.pairs for cost in costs.values()),
         tape_bytes=sum(sum(cost.tape_bytes) for cost in costs.values()),
         workers=workers,
         core_seconds=sum(seconds),

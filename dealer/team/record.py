@@ -32,18 +32,14 @@ class Record:
 
     @classmethod
     def of(cls, folder: Path) -> Record:
-        """That of the two tapes in a folder.
+        """That of the two tapes that one dealing wrote into a folder.
 
         Raises:
-            ValueError: if they are of different dealings.
-            TapeError: if one is damaged.
-            OSError: if one cannot be read.
+            TapeError: if they were not written as they should be.
+            OSError: if they cannot be read.
         """
         first, second = (folder / half for half in HALVES)
-        tape, other = read_header(first).tape, read_header(second).tape
-        if tape != other:
-            raise ValueError(f"the halves in {folder} are of different dealings")
-        return cls(tape, (first.stat().st_size, second.stat().st_size))
+        return cls(read_header(first).tape, (first.stat().st_size, second.stat().st_size))
 
     @classmethod
     def read(cls, folder: Path) -> Record | None:

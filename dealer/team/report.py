@@ -29,19 +29,17 @@ def as_text(mission: Mission, cost: Forecast) -> Iterator[str]:
     named = f" {mission.name!r}" if mission.name else ""
     yield (
         f"plan: mission{named}, {mission.security}: {len(mission.agents)} robots, {len(mission.pairs)} "
-        f"pair(s) of them, {cost.tasks} galleries, {cost.pairs_of_descriptors:,} pairs of descriptors"
+        f"pair(s) of them, {cost.tasks} galleries, {cost.pairs_of_slots:,} pairs of slots"
     )
     for one in mission.galleries:
         largest = cost.galleries[one.name]
         rows, columns = largest.slots
-        parts = ", ".join(
-            f"{part.purpose.rule(part.threshold)} of {part.purpose.dim}-D {part.name}"
-            for part in one.descriptors
-        )
-        yield f"  {one.name}: {parts}; at most {rows:,} x {columns:,} of a pair of robots, of which each"
+        terms = one.terms(mission.security)
+        yield f"  {one.name}: {terms.rule}; a slot has {terms.dim:,} numbers"
         yield (
-            f"    stores {in_bytes(max(largest.tape_bytes))} ({largest.pair_tape_bytes:,} bytes a pair of "
-            f"descriptors) and sends {in_bytes(max(largest.bytes_sent))}"
+            f"    at most {rows:,} x {columns:,} slots for a pair of robots: each stores "
+            f"{in_bytes(max(largest.tape_bytes))} ({largest.pair_tape_bytes:,} bytes a pair of slots) and "
+            f"sends {in_bytes(max(largest.bytes_sent))}"
         )
     yield _row("robot", "peers", "tapes", "sends", "memory", "matching")
     shown = cost.robots if len(cost.robots) <= _FEW else _extremes(cost.robots)

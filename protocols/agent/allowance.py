@@ -54,7 +54,8 @@ class Allowance:
         both = int((math.sqrt((own + theirs) ** 2 + 4 * pairs) - (own + theirs)) / 2)
         brings = min(waiting, max(least, both)) if pairs else 0
         takes = max(least, (pairs - brings * theirs) // max(1, own + brings)) if pairs else 0
-        self._note("matches" if not self._peer.matches.left else "pairs" if waiting and not both else "")
+        scarce = waiting and not both and pairs == self._peer.pairs.left
+        self._note("matches" if not self._peer.matches.left else "pairs" if scarce else "")
         return brings, takes
 
     def _note(self, spent: str) -> None:

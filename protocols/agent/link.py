@@ -108,15 +108,18 @@ class Link:
                 met = self._once()
                 pause = _SHORTEST if met else min(2 * pause, _LONGEST)
                 self._desk.stop.wait(pause)
-            except (TapeDestroyed, MacCheckFailed) as error:
-                self._note("destroyed", "cheated", error)
+            except MacCheckFailed as error:
+                self._hold_against(error, "destroyed", "cheated")
+                return
+            except TapeDestroyed as error:
+                self._note("destroyed", "destroyed", error)
                 return
             except (TapeInUse, OSError) as error:
                 name = "records" if isinstance(error, RecordsError) else "system"
                 self._note("waiting", name, error)
                 self._desk.stop.wait(_SLOW)
             except ProtocolViolation as error:
-                self._hold_against(error)
+                self._hold_against(error, "refused", "violation")
                 self._desk.stop.wait(_SLOW)
             except (SpdzError, ValueError) as error:
                 self._note("refused", "refused", error)
@@ -193,9 +196,9 @@ class Link:
         else:
             self._teller.tell(str(error))
 
-    def _hold_against(self, error: ProtocolViolation) -> None:
-        self._note("refused", "violation", error)
-        self._peer.strikes.add(str(error))
+    def _hold_against(self, error: SpdzError, state: str, name: str) -> None:
+        self._note(state, name, error)
+        self._peer.strikes.add(f"{type(error).__name__}: {error}")
 
     def _note(self, state: str, name: str, error: Exception) -> None:
         """Tell an error, once as long as it is the same."""

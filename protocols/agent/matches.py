@@ -77,6 +77,34 @@ class Matches:
             self._link,
         )
 
+    def trust(self, pairs: Sequence[Pair], most: int) -> list[Pair]:
+        """Choose the pairs that are shown to the peer now, and remember that before they are.
+
+        Args:
+            pairs: True pairs, in an order that both sides know.
+            most: How many the peer may owe its half of: whoever takes what it is shown and hangs up, again
+                and again, gets no more than that.
+
+        Returns:
+            Those that were shown before, and others as far as there is trust left.
+        """
+        with self._records.transaction():
+            query = "SELECT slot, peer_slot FROM matches WHERE link = ? AND shown = 1"
+            before = set(self._records.all(query, self._link))
+            left = most - len(before & set(self.unshown()))
+            chosen = []
+            for pair in pairs:
+                if pair not in before:
+                    if left <= 0:
+                        continue
+                    left -= 1
+                    self._records.run(
+                        "UPDATE matches SET shown = 1 WHERE link = ? AND slot = ? AND peer_slot = ?",
+                        *(self._link, *pair),
+                    )
+                chosen.append(pair)
+            return chosen
+
     def shown(self, slots: Collection[int]) -> set[int]:
         """Those of the peer's slots that it has shown."""
         rows = self._records.all("SELECT slot FROM opened WHERE link = ?", self._link)

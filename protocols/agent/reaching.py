@@ -5,18 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from protocols.agent.desk import Desk
+from protocols.agent.discovery import Discovery
 from protocols.mission import Folder
 from spdz.channels import Channel
 from spdz.channels.addresses import parse_address
 from spdz.channels.port import Port, dial
-from spdz.foundations.errors import ChannelTimeout
+from spdz.foundations.errors import ChannelError, ChannelTimeout
 from spdz.tape.header import Header
-
-if TYPE_CHECKING:
-    from protocols.agent.discovery import Discovery
 
 AUTO = "auto"
 ANYWHERE = "0.0.0.0:0"
@@ -69,19 +66,21 @@ class Reaching:
         announced = bool(self._answers) and plan[robot] == AUTO
         sought = [name for name in names if name not in self._answers and self._addresses[name] == AUTO]
         if announced or sought:
-            from protocols.agent.discovery import Discovery
-
             try:
                 self._discovery = Discovery(
                     folder.mission_id,
                     robot,
                     self._own_port(),
                     names,
-                    on_event=lambda text: desk.tell("discovery", text),
+                    lambda text: desk.tell("discovery", text),
                 )
-            except BaseException:
-                self.close()
-                raise
+            except ValueError as error:
+                if sought:
+                    self.close()
+                    raise ValueError(
+                        f"{error}; or say where {sought[0]} listens: --peer {sought[0]}=HOST:PORT"
+                    ) from error
+                desk.tell("discovery", f"peers do not find {robot} by themselves: {error}")
 
     @property
     def addresses(self) -> list[str]:
@@ -104,13 +103,21 @@ class Reaching:
         if self._port is not None and peer in self._answers:
             return self._port.take(peer, gallery, _TAKE, desk.stop)
         address = self._addresses[peer]
-        if address == AUTO:
-            found = None if self._discovery is None else self._discovery.address_of(peer)
-            if found is None:
-                desk.stop.wait(_CALL)
-                raise ChannelTimeout(f"{peer} has not been found on the local network: is its agent running?")
-            address = found
-        return dial(address, credentials, peer, gallery, wait=_CALL, timeout=desk.timeout)
+        if address != AUTO or self._discovery is None:
+            return self._dial(address, credentials, peer, gallery)
+        found = self._discovery.address_of(peer)
+        if found is None:
+            desk.stop.wait(_CALL)
+            raise ChannelTimeout(f"{peer} has not been found on the local network: is its agent running?")
+        try:
+            return self._dial(found, credentials, peer, gallery)
+        except ChannelError:
+            self._discovery.failed(peer, found)
+            raise
+
+    def _dial(self, address: str, credentials: Path, peer: str, gallery: str) -> Channel:
+        desk = self._desk
+        return dial(address, credentials, peer, gallery, wait=_CALL, timeout=desk.timeout, stop=desk.stop)
 
     def _own_port(self) -> int | None:
         deadline = time.monotonic() + 1.0

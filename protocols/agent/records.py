@@ -30,6 +30,7 @@ from typing import Any
 from spdz.tape.durable import create_private, sync_folder
 
 FILE = "agent.db"
+_SETTINGS = ("busy_timeout=500", "locking_mode=EXCLUSIVE", "journal_mode=WAL", "synchronous=FULL")
 _APPLICATION = 0x73706167  # "spag"
 _SCHEMA = """
 CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -48,6 +49,7 @@ CREATE TABLE matches (
     match INTEGER PRIMARY KEY AUTOINCREMENT, link INTEGER NOT NULL, slot INTEGER NOT NULL,
     peer_slot INTEGER NOT NULL, keyframe INTEGER, state TEXT NOT NULL, why TEXT NOT NULL DEFAULT '',
     transform TEXT, weight REAL, peer_state TEXT, told INTEGER NOT NULL DEFAULT 0,
+    shown INTEGER NOT NULL DEFAULT 0,
     UNIQUE (link, slot, peer_slot)
 );
 CREATE TABLE opened (
@@ -98,7 +100,7 @@ class Records:
             raise
 
     def _prepare(self, mission: str) -> None:
-        for setting in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=1000"):
+        for setting in _SETTINGS:
             self._base.execute(f"PRAGMA {setting}")
         if not self.all("SELECT name FROM sqlite_master"):
             with self.transaction():
@@ -155,4 +157,8 @@ class Records:
             except (sqlite3.Error, OSError) as error:
                 if isinstance(error, RecordsError):
                     raise
+                if "locked" in str(error):
+                    raise RecordsError(
+                        f"another agent works in {self.path.parent}: stop that one first"
+                    ) from error
                 raise RecordsError(f"the agent's records {self.path} cannot be used: {error}") from error

@@ -1,7 +1,7 @@
 """Two robots that have a match show each other what they saw: the exchange after a True bit.
 
-1. Both say which of the wanted pairs are True in their *own* durable results, and which of the peer's slots
-   they have not seen. Nothing is shown on the peer's word.
+1. Both say which of the wanted pairs are True in their *own* durable results and will be shown, and which of
+   the peer's slots they have not seen. Nothing is shown on the peer's word.
 2. Both open the descriptors under MAC (:meth:`spdz.session.GallerySession.reveal`): what comes is the very
    vector that was compared.
 3. Then the payloads, over the same TLS session, to this peer alone.
@@ -31,29 +31,29 @@ _HEAD = 4096
 def show(
     session: GallerySession,
     wanted: Sequence[Pair],
-    true: Collection[Pair],
+    trusted: Collection[Pair],
     seen: Collection[int],
     own: Callable[[int], Keyframe],
     capacity: tuple[int, int],
-) -> tuple[list[Pair], dict[int, Keyframe]]:
+) -> dict[int, Keyframe]:
     """Run the exchange for some matches; both sides call it with the same pairs.
 
     Args:
         session: The connected gallery.
         wanted: Pairs (own slot, peer's slot) that either side wants, at most 2 MOST_PAIRS.
-        true: All pairs that this side's durable results say are True.
+        trusted: Those that this side's durable results say are True, and that it shows its half of.
         seen: The peer's slots that need not be shown again.
         own: Gives what this side shows of one of its slots.
         capacity: Slots of this side and of the peer.
 
     Returns:
-        The pairs that both sides have found True, and what the peer has shown, by its slots.
+        What the peer has shown, by its slots.
 
     Raises:
         ProtocolViolation: if the peer shows anything else.
         SpdzError: as any session.
     """
-    mine = [pair for pair in wanted if pair in true]
+    mine = [pair for pair in wanted if pair in trusted]
     lack = sorted({theirs for _, theirs in mine} - set(seen))
     note: dict[str, Any] = {"true": sorted(_in_order(mine, session.party)), "lack": lack}
     answer = session.exchange_note(note)
@@ -69,15 +69,13 @@ def show(
     showing = sorted({slot for slot, _ in both} & lacking)
     expected = sorted({theirs for _, theirs in both} & set(lack))
     if not showing and not expected:
-        return both, {}
+        return {}
     vectors = session.reveal(showing, expected)
     frames = session.swap([_pack(own(slot)) for slot in showing], most=len(expected) * (MAX_PAYLOAD + _HEAD))
     if len(frames) != len(expected):
         raise ProtocolViolation(f"the peer shows {len(frames)} keyframes instead of {len(expected)}")
     shown = {slot: _unpack(frame) for slot, frame in zip(expected, frames, strict=True)}
-    return both, {
-        slot: Keyframe(one.id, vectors[slot], one.payload, one.stamp) for slot, one in shown.items()
-    }
+    return {slot: Keyframe(one.id, vectors[slot], one.payload, one.stamp) for slot, one in shown.items()}
 
 
 def _in_order(pairs: Sequence[Pair], party: int) -> list[list[int]]:

@@ -49,12 +49,13 @@ class Turns:
         self._verifier, self._wake = verifier, wake
         self._waiting: list[IntArray] = []
         self._capacity = (0, 0)
+        self._known: dict[int, int | None] = {}
         self._true: set[Pair] = set()
         self._asked: dict[Pair, float] = {}
         self._held = [0, 0]
         self._left = 0
         self._sent = self._rounds = self._compared = 0
-        self._idle_until = 0.0
+        self._ask_from = self._bring_from = 0.0  # not before, on the monotonic clock
         self._full = self._open = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
@@ -64,8 +65,9 @@ class Turns:
             session: The gallery, connected.
             waiting: What the session brings of itself.
         """
-        self._waiting, self._idle_until, self._compared = waiting, 0.0, 0
-        self._capacity = session.capacity
+        self._waiting, self._compared = waiting, 0
+        self._ask_from = self._bring_from = 0.0
+        self._capacity, self._known = session.capacity, self._slots.known()
         self._reconcile(session)
         self._find(list(session.results()))
         self._true = self._matches.pairs()
@@ -88,15 +90,19 @@ class Turns:
         elif can and (mine or theirs or saying.open or heard.open):
             self._compare(session, mine, theirs)
         else:
-            self._idle_until = time.monotonic() + _AGAIN
+            self._bring_from = time.monotonic() + _AGAIN
         return True
 
     def pause(self, longest: float) -> float:
         """Seconds that may pass before the next turn, if nothing happens."""
         if self._matches.untold(1):
             return 0.0
-        waits = self._allowance.spent or self._matches.unshown() or self._slots.waiting(most=1)
-        return max(0.0, self._idle_until - time.monotonic()) if waits else longest
+        due = [time.monotonic() + longest]
+        if self._matches.unshown():
+            due.append(self._ask_from)
+        if self._allowance.spent or self._slots.waiting(most=1):
+            due.append(self._bring_from)
+        return max(0.0, min(due) - time.monotonic())
 
     def status(self) -> dict[str, Any]:
         """Where the gallery stands, JSON-ready."""
@@ -168,16 +174,18 @@ class Turns:
         self._peer.matches.spend(len(news))
         for one in news:
             self._desk.hub.tell(Event.of(one))
+        if news:
+            self._judge()  # both halves may have been shown for other matches
 
     def _reconcile(self, session: GallerySession) -> None:
         """Find out which keyframes are in which slots, by what the ledger holds."""
         filled = session.filled
-        known = self._slots.known()
-        new = [slot for slot in filled if slot not in known]
-        lost = set(known) - set(filled)
+        new = [slot for slot in filled if slot not in self._known]
+        lost = set(self._known) - set(filled)
         if new or lost:
             digests = [digest_of(raw) for raw in session.plain(new)]
             self._slots.place(dict(zip(new, digests, strict=True)), lost)
+            self._known = self._slots.known()
         self._held = [len(filled), len(session.peer_filled)]
 
     # -- matches -------------------------------------------------------------------------------------
@@ -192,24 +200,25 @@ class Turns:
                 if (news := self._matches.withhold(pair, why)) is not None:
                     self._desk.hub.tell(Event.of(news))
         self._asked = {pair: when for pair, when in self._asked.items() if pair in unshown}
-        if now >= self._idle_until:
+        if now >= self._ask_from:
             want = unshown[:MOST_PAIRS]
         return want
 
     def _show(self, session: GallerySession, wanted: list[Pair]) -> None:
+        """Show each other what is wanted and found True here, as far as the peer is trusted with it."""
         matches = self._matches
-        self._idle_until = time.monotonic() + _AGAIN  # unless the peer shows all that is wanted
-        own = self._slots.known()
-        true = {pair for pair in self._true if own.get(pair[0]) is not None}
+        self._ask_from = time.monotonic() + _AGAIN  # unless the peer shows something
+        true = [pair for pair in wanted if pair in self._true and self._known.get(pair[0]) is not None]
+        trusted = matches.trust(true, self._desk.strikes)
         seen = matches.shown([slot for _, slot in wanted])
-        _, shown = show(session, wanted, true, seen, self._own_keyframe, self._capacity)
-        matches.show(shown.items())
+        shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity)
         if shown:
-            self._idle_until = 0.0
+            matches.show(shown.items())
+            self._ask_from = 0.0
             self._judge()
 
     def _own_keyframe(self, slot: int) -> Keyframe:
-        number = self._slots.known().get(slot)
+        number = self._known.get(slot)
         keyframe = None if number is None else self._desk.keyframes.get(number, self._gallery)
         if keyframe is None:
             raise ValueError(f"the keyframe in slot {slot} is not known any more")

@@ -242,11 +242,8 @@ def _fit(own: _Surface, other: _Surface, start: FloatArray) -> Alignment:
     there, residual = _inliers(own, other, pose)
     back, _ = _inliers(other, own, inverse(pose))
     transform = float(pose[0]), float(pose[1]), float((pose[2] + np.pi) % (2 * np.pi) - np.pi)
-    why = ""
-    if support < LEAST_SUPPORT:
-        why = "the walls are all parallel: one submap slides along the other"
-    elif np.hypot(pose[0], pose[1]) > FARTHEST_SHIFT + APART[0]:
-        why = f"the keyframes would be more than {FARTHEST_SHIFT:.0f} m apart"
+    slides = support < LEAST_SUPPORT
+    why = "the walls are all parallel: one submap slides along the other" if slides else ""
     return Alignment(transform, min(there, back), residual, why)
 
 

@@ -43,6 +43,11 @@ class Parking:
         if ended:
             stream.close()
 
+    def has(self, peer: str, topic: str) -> bool:
+        """Whether a call waits, as far as is known."""
+        with self._changed:
+            return (peer, topic) in self._calls
+
     def take(self, peer: str, topic: str, deadline: float, stop: threading.Event | None) -> Stream | None:
         """Wait for a call whose caller is still there, and tell it that it is taken; None if none came.
 

@@ -1,10 +1,11 @@
-"""One listening port of a robot for all its peers, and how a peer calls it.
+"""One listening port of a robot for all its peers; :func:`dial` calls such a port.
 
 A thread of the port's own accepts, and serves all callers at once: each proves by its certificate to be one
 of the peers, and names a topic (:mod:`spdz.channels.topic`). Then its call waits until the program takes it.
 
 Nobody waits for ever. A call that is not taken within ``timeout`` is dropped on both sides, and :func:`dial`
 calls again while its ``wait`` lasts. So what is taken is recent, also where a radio link went without a sign.
+A channel over which nothing is sent breaks on either side when the other is out of reach for about that long.
 
 Security limits: MAX_HANDSHAKES callers at a time (:mod:`spdz.channels.reception`), each for ``timeout``
 seconds at most; one waiting call for each peer and topic; MAX_TOPIC bytes of a topic.
@@ -22,19 +23,21 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from types import TracebackType
 
-from spdz.channels.addresses import NotYet, parse_address, patiently
+from spdz.channels.addresses import NotYet, parse_address
 from spdz.channels.base import DEFAULT_TIMEOUT, Channel, check_limits
+from spdz.channels.calling import dial
 from spdz.channels.frames import MAX_FRAME
 from spdz.channels.listening import Listener, addresses_of, open_listener
 from spdz.channels.parking import Parking
 from spdz.channels.reception import Reception
 from spdz.channels.socket_channel import SocketChannel
-from spdz.channels.tcp import DEFAULT_WAIT
 from spdz.channels.telling import Teller, harmless, ignore, in_seconds
-from spdz.channels.tls import make_context, reach
+from spdz.channels.tls import make_context
 from spdz.channels.tls_stream import TlsStream
-from spdz.channels.topic import TopicCaller, be_taken, topic_bytes
-from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
+from spdz.channels.topic import TopicCaller, topic_bytes
+from spdz.foundations.errors import ChannelError, ChannelTimeout
+
+__all__ = ["Port", "dial"]
 
 _AGAIN = 60.0
 """Seconds before a reason that takes turns with others is told again: a port is open for hours."""
@@ -43,8 +46,6 @@ _REST = 0.5
 _END_SECONDS = 1.0
 _GRACE = 1.0
 """Seconds that a call waits longer here than its caller does who has the same ``timeout``."""
-_LEAST_SECONDS = 1.0
-"""What a call is given to be taken in, however little is left of its wait."""
 
 
 class Port:
@@ -131,17 +132,27 @@ class Port:
             ChannelClosed: if the port is closed.
             ChannelError: in a fork of the process that opened the port.
         """
-        if peer not in self._peers or topic not in self._topics or not wait >= 0:
-            raise ValueError(f"this port takes no calls of {peer!r} about {topic!r} within {wait!r} s")
-        if self._is_a_copy:
-            raise ChannelError("this port belongs to the process that opened it: open one after the fork")
+        self._require(peer, topic)
+        if not wait >= 0:
+            raise ValueError(f"wait must be a number of seconds, 0 or more, not {wait!r}")
         stream = self._parking.take(peer, topic, time.monotonic() + wait, stop)
         if stream is not None:
+            stream.keep_alive(self._timeout)
             return SocketChannel(stream, self._timeout, self._max_frame)
         if stop is not None and stop.is_set():
             raise ChannelTimeout(f"the wait for a call of {peer!r} about {topic!r} was stopped")
         why = self._absent or "is it started, and does it know where to call?"
         raise ChannelTimeout(f"{peer!r} did not call about {topic!r} within {in_seconds(wait)}: {why}")
+
+    def is_called(self, peer: str, topic: str) -> bool:
+        """Whether a call waits to be taken. A peer that calls again has lost the channel that it had.
+
+        Raises:
+            ValueError: if the port was not opened for this peer and topic.
+            ChannelError: in a fork of the process that opened the port.
+        """
+        self._require(peer, topic)
+        return self._parking.has(peer, topic)
 
     def close(self) -> None:
         """Stop listening and hang up on every call that nobody took; safe to call twice, from any thread.
@@ -165,6 +176,12 @@ class Port:
     @property
     def _is_a_copy(self) -> bool:
         return os.getpid() != self._process
+
+    def _require(self, peer: str, topic: str) -> None:
+        if peer not in self._peers or topic not in self._topics:
+            raise ValueError(f"this port takes no calls of {peer!r} about {topic!r}")
+        if self._is_a_copy:
+            raise ChannelError("this port belongs to the process that opened it: open one after the fork")
 
     def _run(self) -> None:
         with self._wake, self._awake:
@@ -209,71 +226,6 @@ class Port:
 
     def _admit(self, sock: socket.socket) -> TopicCaller:
         return TopicCaller(TlsStream(sock, self._context, server_side=True), self._peers, self._topics)
-
-
-def dial(
-    address: str,
-    credentials: Path,
-    peer: str,
-    topic: str,
-    *,
-    wait: float = DEFAULT_WAIT,
-    timeout: float = DEFAULT_TIMEOUT,
-    max_frame: int = MAX_FRAME,
-    on_event: Callable[[str], None] = ignore,
-    stop: threading.Event | None = None,
-) -> SocketChannel:
-    """Call a peer's port about a topic, and wait until the call is taken.
-
-    Args:
-        address: Where the peer's port listens, ``host:port``.
-        credentials: Folder of this robot's credentials.
-        peer: Name of the only robot to talk to.
-        topic: What to talk about.
-        wait: Seconds to keep calling: while the host name, the network or the port is not there, and while
-            the peer does not take the call.
-        timeout: Seconds that the TLS handshake, one call that is not taken, and then one exchange, may take.
-        max_frame: Largest payload in bytes.
-        on_event: Called with a sentence when the reason changes why there is no connection yet.
-        stop: Ends the wait when it is set: within a fraction of a second where the peer is there, else after
-            the attempt to connect that is under way.
-
-    Raises:
-        ValueError: if an argument is malformed or the credentials cannot be used.
-        PeerAborted: if the port does not accept this robot, does not know the topic, or has a newer call of
-            this robot about it.
-        ChannelError: if whoever listens there is not the peer; both names are told.
-        ChannelTimeout: if nobody answered, or the peer did not take the call.
-        ProtocolViolation: if the peer sent anything but the topic.
-    """
-    check_limits(timeout, max_frame)
-    topic_bytes(topic)
-    context = make_context(credentials, ssl.PROTOCOL_TLS_CLIENT)
-    teller, deadline = Teller(on_event), time.monotonic() + wait
-    what = f"{peer!r} does not take this robot's call about {topic!r}"
-
-    def attempt() -> SocketChannel:
-        left = max(0.0, deadline - time.monotonic())
-        stream = reach(address, context, peer, left, timeout, teller, stop)
-        try:
-            patience = min(timeout, max(_LEAST_SECONDS, deadline - time.monotonic()))
-            be_taken(stream, topic, patience, stop)
-        except BaseException as error:
-            stream.part(b"")
-            if isinstance(error, ChannelTimeout):
-                raise NotYet("it is there; is it busy, or started without this gallery?", what) from error
-            if isinstance(error, ChannelClosed) and error.passing:
-                raise NotYet(str(error), what) from error
-            raise
-        return SocketChannel(stream, timeout, max_frame)
-
-    def give_up(last: NotYet) -> ChannelError:
-        ended = stop is not None and stop.is_set()
-        return ChannelTimeout(
-            f"{last} ({'stopped' if ended else f'called for {in_seconds(wait)}'}, at {address})"
-        )
-
-    return patiently(attempt, deadline, give_up, teller, what, stop)
 
 
 def _names(names: Collection[str], what: str) -> tuple[str, ...]:

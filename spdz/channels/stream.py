@@ -16,6 +16,8 @@ from spdz.channels.telling import in_seconds
 from spdz.foundations.errors import ChannelTimeout
 
 _DRAIN = 64 << 10
+_PROBES = 4
+_LONGEST_KEPT = 32767  # what Linux takes for TCP_KEEPIDLE
 
 
 class Stream(ABC):
@@ -32,6 +34,26 @@ class Stream(ABC):
     def fileno(self) -> int:
         """The socket's descriptor, to poll."""
         return self._socket.fileno()
+
+    def keep_alive(self, seconds: float) -> None:
+        """Have the system break the connection once the peer is out of reach for about so many seconds.
+
+        Without it a connection over which nothing is sent outlives a peer that lost its power or its network
+        (RFC 9293, 3.8.4). Where the system cannot be told how long, its own times count.
+        """
+        whole = max(1, min(int(seconds), _LONGEST_KEPT))
+        options = {
+            "TCP_KEEPIDLE": max(1, whole // 2),
+            "TCP_KEEPALIVE": max(1, whole // 2),  # as macOS calls it
+            "TCP_KEEPINTVL": max(1, whole // (2 * _PROBES)),
+            "TCP_KEEPCNT": _PROBES,
+            "TCP_USER_TIMEOUT": 1000 * whole,  # where bytes are under way: RFC 5482
+        }
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for name, value in options.items():
+                if hasattr(socket, name):
+                    self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
     @property
     @abstractmethod

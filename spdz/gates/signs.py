@@ -11,6 +11,8 @@ deals half-tree keys (:mod:`spdz.dcf.signs`); then
 With a *resolution* (:attr:`spdz.values.engine.Engine.resolution`) the lowest f bits of z are left out, which
 saves as many levels: the bit is ``[z >= e]`` for a public e, uniform in (-2^(f-1), 2^(f-1)].
 
+Where a program goes on with the bit, the same tree opens it masked (:mod:`spdz.gates.decision`).
+
 Cost: one round, one bit an entry; b - 1 - f levels of 16 bytes stored, one AES call a level. c must have been
 checked before step 2 (:mod:`spdz.gates.output` sees to it): a wrong c makes the bit a function of the mask.
 """
@@ -48,20 +50,12 @@ def deal(recipe: Recipe, z: Value, kind: str = KIND, flips: FieldArray | None = 
     def make(pads: TreePads) -> tuple[Block, Block, Block | None]:
         rho = arranged(dealt_integer_mask(z.parts[0], bits), pads.order)
         if flips is not None:
-            rho = flipped(rho, bits, arranged(flips, pads.order))
+            rho = _flipped(rho, bits, arranged(flips, pads.order))
         if pads.top is None:
             raise ValueError("a sign has a block beside its tree")
         return signs.deal_sign(rho, bits, drop, *pads.deltas, pads.first, pads.top, pads.batches)
 
     recipe.tree(kind, z, signs.sign_levels(bits, drop), make, top=True)
-
-
-def flipped(rho: FieldArray, bits: int, flips: FieldArray) -> Block:
-    """Rho with the top of its lowest ``bits`` bits turned over where ``flips`` is 1, and with it the sign."""
-    word, offset = divmod(bits - 1, 64)
-    result: Block = rho.copy()
-    result[:, word] ^= flips[:, 0] << np.uint64(offset)
-    return result
 
 
 def evaluate(party: Evaluation, z: Value, kind: str = KIND) -> tuple[Block, Block]:
@@ -82,3 +76,11 @@ def _in_place(engine: Engine, z: Value) -> tuple[Value, int, int]:
         z = z.plus_raw(-1 << (drop - 1))
     z, bits = in_place(z)
     return z, bits, min(drop, bits - 2)
+
+
+def _flipped(rho: FieldArray, bits: int, flips: FieldArray) -> Block:
+    """Rho with the top of its lowest ``bits`` bits turned over where ``flips`` is 1, and with it the sign."""
+    word, offset = divmod(bits - 1, 64)
+    result: Block = rho.copy()
+    result[:, word] ^= flips[:, 0] << np.uint64(offset)
+    return result

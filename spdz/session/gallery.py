@@ -90,10 +90,8 @@ class GallerySession(Holdings):
             self._meet()
 
     def __repr__(self) -> str:
-        header = self._tape.header
-        return (
-            f"<gallery of {header.name} with {header.peer}{f': dead ({self._dead})' if self._dead else ''}>"
-        )
+        header, state = self._tape.header, f": dead ({self._dead})" if self._dead else ""
+        return f"<gallery of {header.name} with {header.peer}{state}>"
 
     def add(self, descriptors: npt.ArrayLike) -> None:
         """Bring descriptors to the next step.
@@ -146,24 +144,21 @@ class GallerySession(Holdings):
     def reveal(self, own: Sequence[int], expected: Sequence[int]) -> dict[int, FloatArray]:
         """Open descriptors that were found to match, proved to be those that were compared.
 
-        Both sides call it in step, and each says what it opens and what it expects; these must fit. Agree on
-        the pairs before (:meth:`exchange_note`), since a pair may have been given up on one side. There is no
-        fairness: a peer may take what it gets and hang up. In the semi-honest mode nothing is proved.
+        Both sides call it in step. Agree on the slots before (:meth:`exchange_note`): one side may have given
+        up a pair. A peer may take what it gets and hang up. In the semi-honest mode nothing is proved.
 
         Args:
-            own: Own slots that this side opens; none are legal. The same slots may be opened again.
-            expected: Slots of the peer's that it opens.
+            own: Own slots to open; also none, or such as were opened before.
+            expected: The peer's slots that it opens.
 
         Returns:
             The peer's descriptors, of shape (N,), by slot.
 
         Raises:
-            ValueError: if one of the slots is in no pair of :meth:`results` that is True and whose slots both
-                hold a descriptor, or if there are more than 2,048; nothing was sent and the session lives.
+            ValueError: if a slot is in no True pair of :meth:`results` of two slots that hold a descriptor,
+                or there are more than 2,048; nothing was sent and the session lives.
             OutOfStep: if the peer opens or expects others; nothing was opened.
-            ProtocolViolation: if the peer opens numbers that are out of range.
-            MacCheckFailed: if it opens another vector than the one that was compared; nothing is returned,
-                and tape and ledger are destroyed.
+            MacCheckFailed: if it opens another vector; nothing is returned, and the tape is destroyed.
             SpdzError: as any session.
         """
         self._require_alive()
@@ -248,8 +243,6 @@ class GallerySession(Holdings):
     def _alpha(self) -> int | None:
         malicious = self._terms.security == "malicious"
         return int.from_bytes(self._tape.alpha, "little") if malicious else None
-
-    # -- ending --------------------------------------------------------------------------------------
 
     def _note_end(self) -> None:
         """The ledger remembers."""

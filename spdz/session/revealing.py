@@ -1,16 +1,13 @@
 """Opening descriptors that were found to match, under MAC: the very vectors that were compared.
 
-Steps (specification, section 26), both ways in the same rounds:
+Both ways in the same rounds (specification, section 26): which slots (26.1), agreeing on them (26.2), the
+vectors x (26.3), r = x - eps recorded by the owner from its mask and by the receiver from what came and the
+words that it keeps (26.4), a MAC check (26.5). x is a function of ledger and tape, so that opening a slot
+again, after a break too, shows the same bytes.
 
-1. A slot is opened, and expected, only if it is in a pair that this side's own ledger has as True.
-2. Both tell which slots either opens, and a hash of the words in them; they must say the same.
-3. The owner sends its quantised vectors x; the receiver takes coordinates within the bound alone.
-4. Both record r = x - eps: the owner from its mask, the receiver from what came and the words that it keeps.
-5. A MAC check. Nothing is returned before the last one has passed.
-
-Cost: N numbers of ``width`` bytes a vector (3 at norm 1), two rounds for every ``_TOGETHER`` coordinates.
-Security: a vector other than the one that was compared passes if the cheater guesses alpha_i e, one in p. In
-the semi-honest mode there is no MAC, and step 5 falls away.
+Cost: a vector takes N numbers of 3 bytes (at norm 1), all together one round and a check for every
+``_TOGETHER`` coordinates. Security: another vector than the one that was compared passes if the cheater
+guesses alpha_i e, one in p. There is no fairness. In the semi-honest mode nothing is proved.
 """
 
 from __future__ import annotations
@@ -85,7 +82,7 @@ class Revealing:
         return int(self.tape.header.party)
 
     def checked(self, own: Sequence[int], expected: Sequence[int]) -> Slots:
-        """What is to be opened, of party 0 and of party 1 (step 1).
+        """What is to be opened, of party 0 and of party 1 (26.1).
 
         Raises:
             ValueError: if the gallery opens no bits, or a slot is in no pair that matched; nothing was sent.
@@ -107,7 +104,7 @@ class Revealing:
         return opened
 
     def open(self, connection: Connection, agreement: Agreement, opened: Slots) -> dict[int, FloatArray]:
-        """Open slots on both sides, and give the peer's vectors (steps 2 to 5)."""
+        """Open slots on both sides, and give the peer's vectors (26.2 to 26.6)."""
         self._agree(agreement, opened)
         together = max(1, _TOGETHER // self.terms.dim)
         result: dict[int, FloatArray] = {}
@@ -138,7 +135,7 @@ class Revealing:
             self._strips += 1
 
     def _agree(self, agreement: Agreement, opened: Slots) -> None:
-        """Step 2."""
+        """26.2."""
         words = hashlib.sha256()
         for shelf, slots in zip(self.shelves, opened, strict=True):
             for slot in slots:
@@ -157,7 +154,7 @@ class Revealing:
             )
 
     async def _open(self, opened: Slots, mac_check: MacCheck | None) -> IntArray:
-        """Steps 3 to 5 for some slots of either party; the peer's vectors, raw."""
+        """26.3 to 26.5 for some slots of either party; the peer's vectors, raw."""
         known = [shelf.standing(slots) for shelf, slots in zip(self.shelves, opened, strict=True)]
         own, theirs = known[self.party], known[1 - self.party]
         bits, size = (2 * self.terms.norm).bit_length(), len(opened[1 - self.party]) * self.terms.dim
@@ -175,7 +172,7 @@ class Revealing:
 
 
 def _record(mac_check: MacCheck, standing: Standing, received: IntArray) -> None:
-    """Step 4 for the slots of one party."""
+    """26.4 for the slots of one party."""
     if standing.mac is not None and len(standing):
         r = received - standing.words if standing.s is None else -standing.s
         mac_check.record(elements.from_int64(r), standing.mac)
