@@ -206,6 +206,16 @@ def test_replay_shows_what_is_found_and_ends_when_all_is_settled(tmp_path):
     assert [news.number for news in shown] == [1, 2]
 
 
+@pytest.mark.parametrize("lacks", ["settled", "held"])
+def test_replay_does_not_end_before_all_is_compared(monkeypatch, lacks):
+    clock, agent = Slept(), FakeAgent(why={"bob": ""})
+    monkeypatch.setattr("protocols.stacks.replay.time.sleep", clock.sleep)
+    (settled,) = agent.status()["galleries"]
+    agent.status = lambda: {"galleries": [settled if clock.now > 100 else {**settled, lacks: 0}]}
+    Replay(agent, SwarmSlam(agent, ROLE), clock=clock).linger(5.0, threading.Event())
+    assert 105 < clock.now < 106
+
+
 # -- two agents from one bag ------------------------------------------------------------------------
 
 
