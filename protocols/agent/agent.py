@@ -128,7 +128,7 @@ class Agent:
         if plan.security != "malicious":
             self._desk.tell(
                 "warning",
-                "this mission is semi-honest: a peer that deviates can make any pair match, and is then shown "
+                "this mission is semi-honest: a peer that deviates can make any pair match, and then sees "
                 "this robot's keyframes",
             )
         for link in self._links:

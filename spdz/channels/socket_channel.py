@@ -109,7 +109,7 @@ class SocketChannel(Channel):
         if count is None:
             return False
         if count == 0:
-            if isinstance(self._send_error, TimeoutError):  # the system tells it once, to whoever asks first
+            if isinstance(self._send_error, TimeoutError):  # told once, to whoever asks first
                 raise lost(self._send_error, reader.progress())
             raise ChannelClosed(f"the peer closed the connection ({reader.progress()})")
         reader.advance(count)
