@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bench.attacks.probes import COSINES, ISOTROPIC
+from bench.attacks.probes import COSINES, ISOTROPIC, median_curve
 from bench.attacks.run import Findings
 from bench.attacks.world import World
 from protocols.check.spread import bits_until
@@ -131,10 +131,9 @@ def _probes(found: Findings) -> Figure:
     figure = _figure(11, 6)
     axes: Any = figure.add_subplot()
     for curves, colour in zip(found.probes, _CURVES, strict=True):
-        row, length = curves.row, min(len(one.cosines) for one in curves.probings)
-        middle = np.median([one.cosines[:length] for one in curves.probings], axis=0)
+        row, middle = curves.row, median_curve(curves.probings)
         axes.plot(
-            np.arange(1, length + 1),
+            np.arange(1, len(middle) + 1),
             middle,
             color=colour,
             linewidth=2,

@@ -37,6 +37,8 @@ _EDGE_BITS, _LENGTH_BITS = 18, 10
 """Bits of steps 2 and of what the first match is known to be better than the edge by."""
 _DEEPEST = 11
 """Bits of one coordinate at most."""
+_KNOWN, _NOTHING = 1e-9, 1e-300
+"""A variance that is not worth a bit; a norm of a guess that says nothing."""
 _TILT = 0.1
 """A coordinate is compared with no number nearer to 0 than so many standard deviations: the nearer, the less
 a probe leaves the edge, and the more of its answer is the comparison's resolution."""
@@ -163,58 +165,83 @@ def probe(
         bits: Probes to spend.
         generator: Of directions and of the dither.
     """
-    oracle, cosines = Oracle(hidden, threshold, generator), []
-
-    def guess(vector: FloatArray) -> None:
-        cosines.append(float(vector @ hidden / max(float(np.linalg.norm(vector)), 1e-300)))
-
+    prober = _Prober(hidden, threshold, Oracle(hidden, threshold, generator))
     # That the first one matches tells something only where the prior did not expect it.
     expected = float(first @ prior.mean) >= threshold
-    start = prior.mean if expected else prior.given(first[:, None], np.array([threshold])).mean
-    # Step 2: the edge, on the way from the match over a random direction to the match's opposite.
-    away = _orthogonal(generator.standard_normal(len(hidden)), first)
-    low, high = 0.0, pi
-    for _ in range(_EDGE_BITS):
-        middle = (low + high) / 2
-        if oracle(cos(middle) * first + sin(middle) * away):
-            low = middle
-        else:
-            high = middle
-        guess(start)
-    angle = (low + high) / 2
-    edge, beside = cos(angle) * first + sin(angle) * away, cos(angle) * away - sin(angle) * first
+    prober.guess = prior.mean if expected else prior.given(first[:, None], np.array([threshold])).mean
+    prober.find_edge(first, _orthogonal(generator.standard_normal(len(hidden)), first))
+    known = np.stack([prober.edge, prober.beside], axis=1)
+    prober.bisect(prior.given(known, np.array([threshold, prober.find_length()])), bits)
+    return Probing(np.array(prober.cosines[:bits]), np.array(prober.oracle.answers[:bits]))
 
-    def above(axis: FloatArray, number: float, least: float = 1e-3) -> bool:
+
+class _Prober:
+    """The prober's state; the hidden vector is known to it only to say how good each guess is.
+
+    Attributes:
+        oracle: What it asks.
+        guess: ``(n,)``, its best guess so far, of any norm.
+        cosines: Of the guess with the hidden vector, after each bit.
+        edge: ``(n,)``, a unit vector whose product with the hidden one is the threshold.
+        beside: ``(n,)``, the unit vector orthogonal to it in the plane in which it was found.
+    """
+
+    def __init__(self, hidden: FloatArray, threshold: float, oracle: Oracle) -> None:
+        self._hidden, self._threshold = hidden, threshold
+        self.oracle, self.cosines = oracle, list[float]()
+        self.guess = self.edge = self.beside = np.zeros(len(hidden))
+
+    def find_edge(self, first: FloatArray, away: FloatArray) -> None:
+        """Step 2: the edge, on the way from a match over an orthogonal direction to the match's opposite."""
+        low, high = 0.0, pi
+        for _ in range(_EDGE_BITS):
+            middle = (low + high) / 2
+            low, high = (
+                (middle, high) if self._ask(cos(middle) * first + sin(middle) * away) else (low, middle)
+            )
+        angle = (low + high) / 2
+        self.edge = cos(angle) * first + sin(angle) * away
+        self.beside = cos(angle) * away - sin(angle) * first
+
+    def find_length(self) -> float:
+        """The coordinate beside the edge, which no prior tells: how far within it the first match was."""
+        high = sqrt(1 - self._threshold**2)
+        low = -high
+        for _ in range(_LENGTH_BITS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._above(self.beside, middle) else (low, middle)
+        return (low + high) / 2
+
+    def bisect(self, left: Prior, bits: int) -> None:
+        """Step 4: the coordinates along the axes of what is left to know, until so many bits are spent."""
+        variances, axes = np.linalg.eigh(left.covariance)
+        self.guess, centre = left.mean.copy(), axes.T @ left.mean
+        cells = [(-v * _gain(0, 0), i, 0, 0) for i, v in enumerate(variances) if v > _KNOWN]
+        heapq.heapify(cells)
+        while len(self.cosines) < bits and cells:
+            _, i, depth, cell = heapq.heappop(cells)
+            deviation, before = sqrt(variances[i]), _cell(depth, cell)[0]
+            cut = centre[i] + deviation * _NORMAL.inv_cdf((2 * cell + 1) / 2 ** (depth + 1))
+            depth, cell = depth + 1, 2 * cell + self._above(axes[:, i], cut, _TILT * deviation)
+            self.guess += axes[:, i] * deviation * (_cell(depth, cell)[0] - before)
+            self.cosines[-1] = self._cosine()  # of the guess that the bit has led to
+            if depth < _DEEPEST:
+                heapq.heappush(cells, (-variances[i] * _gain(depth, cell), i, depth, cell))
+
+    def _above(self, axis: FloatArray, number: float, least: float = 1e-3) -> bool:
         """Step 3: whether ``axis . y`` is at least a number."""
         if number < 0:
-            return not above(-axis, -number, least)
-        tilt = 2 * atan(max(number, least) / threshold)
-        return oracle(cos(tilt) * edge + sin(tilt) * axis)
+            return not self._above(-axis, -number, least)
+        tilt = 2 * atan(max(number, least) / self._threshold)
+        return self._ask(cos(tilt) * self.edge + sin(tilt) * axis)
 
-    # How far the first match lies within the edge: the one coordinate that no prior tells.
-    low, high, known = -sqrt(1 - threshold**2), sqrt(1 - threshold**2), np.stack([edge, beside], axis=1)
-    for _ in range(_LENGTH_BITS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if above(beside, middle) else (low, middle)
-        guess(start)
+    def _ask(self, vector: FloatArray) -> bool:
+        matches = self.oracle(vector)
+        self.cosines.append(self._cosine())
+        return matches
 
-    # Step 4.
-    left = prior.given(known, np.array([threshold, (low + high) / 2]))
-    variances, axes = np.linalg.eigh(left.covariance)
-    best, centre = left.mean.copy(), axes.T @ left.mean
-    open_cells = [(-v * _gain(0, 0), i, 0, 0) for i, v in enumerate(variances) if v > 1e-9]
-    heapq.heapify(open_cells)
-    while len(oracle.answers) < bits and open_cells:
-        _, i, depth, cell = heapq.heappop(open_cells)
-        deviation, before = sqrt(variances[i]), _cell(depth, cell)[0]
-        cut = _NORMAL.inv_cdf((2 * cell + 1) / 2 ** (depth + 1))
-        cell = 2 * cell + above(axes[:, i], centre[i] + deviation * cut, _TILT * deviation)
-        depth += 1
-        best += axes[:, i] * deviation * (_cell(depth, cell)[0] - before)
-        guess(best)
-        if depth < _DEEPEST:
-            heapq.heappush(open_cells, (-variances[i] * _gain(depth, cell), i, depth, cell))
-    return Probing(np.array(cosines[:bits]), np.array(oracle.answers[:bits]))
+    def _cosine(self) -> float:
+        return float(self.guess @ self._hidden / max(float(np.linalg.norm(self.guess)), _NOTHING))
 
 
 def _orthogonal(vector: FloatArray, to: FloatArray) -> FloatArray:

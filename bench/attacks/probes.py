@@ -67,7 +67,7 @@ class ProbeRow:
     bits_090: int | None
     bits_095: int | None
     bits_099: int | None
-    rule_090: float
+    rule_090: int
     cosine_before: float
     cosine_after: dict[int, float]
     equal: float
@@ -145,47 +145,51 @@ def _measured(
     kind: Kind, name: str, prior: Prior, threshold: float, seed: int, targets: int, bits: int
 ) -> Curves:
     victim, dim = kind.victim, kind.victim.shape[1]
-    public = kind.public
-    equal = np.full(dim, 1 / sqrt(dim))
-    foreign = None if public is None else public @ victim.T >= threshold
-    chance = (
-        _unit(np.random.default_rng([seed, 1]).standard_normal((_RANDOM * targets, dim))) @ victim.T
-        >= threshold
-    )
     chosen = np.linspace(0, len(victim) - 1, min(targets, len(victim))).round().astype(np.int64)
+    equal = np.full(dim, 1 / sqrt(dim))
     probings = []
     for target in chosen:
         generator = np.random.default_rng([seed, 2, int(target)])
         hidden = victim[target]
-        first = equal if equal @ hidden >= threshold else _first(hidden, threshold, public, generator)
-        probings.append(probe(hidden, first, prior, threshold, bits * (1 + (public is None)), generator))
-    everything = min(len(one.cosines) for one in probings)
-    middle = np.median([one.cosines[:everything] for one in probings], axis=0)
-    effective = float(dim) if public is None else effective_dimension(public, neighbours=4)
+        first = equal if equal @ hidden >= threshold else _first(hidden, threshold, kind.public, generator)
+        spent = bits if kind.public is not None else 2 * bits
+        probings.append(probe(hidden, first, prior, threshold, spent, generator))
     until = [_median([one.bits_until(cosine) for one in probings]) for cosine in COSINES]
     third = [one.cosine_at_match(STRIKES) for one in probings]
+    effective = float(dim) if kind.public is None else effective_dimension(kind.public, neighbours=4)
+    random = _unit(np.random.default_rng([seed, 1]).standard_normal((_RANDOM * targets, dim)))
+    middle = median_curve(probings)
     row = ProbeRow(
         descriptors=kind.name,
         prior=name,
         dimension=dim,
         effective_dimension=round(effective, 1),
         threshold=threshold,
-        first="an all-equal vector"
-        if (victim @ equal >= threshold).all()
-        else "given, just past the threshold",
+        first="an all-equal vector" if (victim @ equal >= threshold).all() else "given, past the threshold",
         targets=len(chosen),
         bits_090=until[0],
         bits_095=until[1],
         bits_099=until[2],
-        rule_090=round(bits_until(0.90, threshold, effective if name != "nothing" else dim), 0),
+        rule_090=round(bits_until(COSINES[0], threshold, effective if name != "nothing" else dim)),
         cosine_before=round(float(np.median(victim @ _unit(prior.mean))), 3) if prior.mean.any() else 0.0,
-        cosine_after={n: round(float(middle[n - 1]), 3) for n in CHECKPOINTS if n <= everything},
-        equal=round(float((victim @ equal >= threshold).mean()), 4),
-        foreign=None if foreign is None else round(float(foreign.mean()), 6),
-        random=float(chance.mean()),
+        cosine_after={n: round(float(middle[n - 1]), 3) for n in CHECKPOINTS if n <= len(middle)},
+        equal=_share(equal[None], victim, threshold),
+        foreign=None if kind.public is None else _share(kind.public, victim, threshold),
+        random=_share(random, victim, threshold),
         third_match=None if None in third else round(float(np.median(np.array(third, dtype=float))), 3),
     )
     return Curves(row, probings)
+
+
+def median_curve(probings: list[Probing]) -> FloatArray:
+    """The median of cosines after each bit, as far as all probings go."""
+    everything = min(len(one.cosines) for one in probings)
+    return np.asarray(np.median([one.cosines[:everything] for one in probings], axis=0))
+
+
+def _share(vectors: FloatArray, victim: FloatArray, threshold: float) -> float:
+    """Share of the pairs of two sets of vectors that match."""
+    return round(float((vectors @ victim.T >= threshold).mean()), 6)
 
 
 def _first(
