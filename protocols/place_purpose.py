@@ -205,7 +205,7 @@ class PlacePurpose:
             ValueError: if the tape was dealt for something else.
         """
         parts = header.get("place")
-        if not set(header) >= _FIELDS or not isinstance(parts, list):
+        if set(header) - {"gallery"} != _FIELDS or not isinstance(parts, list):
             raise ValueError("this gallery was not dealt for places of several descriptors")
         for part in parts:
             if not isinstance(part, dict) or set(part) != _PART:

@@ -11,6 +11,7 @@ from spdz.channels import tls
 from spdz.channels.port import Port, dial
 
 TOPICS = ("lidar", "camera")
+PAIRS = [(robot, topic) for robot in ("bob", "carol") for topic in TOPICS]
 LIDAR = header(5, kind=CONTROL) + b"lidar"
 
 

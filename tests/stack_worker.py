@@ -87,7 +87,8 @@ def main(domain: int, keyframes: int) -> None:
         return len(heard) >= keyframes
 
     wait(enough)
-    written = sorted({one.topic_name for one in spy.take(100) if str(one.participant_key)[:24] != own})
+    foreign = [one for one in spy.take(100) if str(one.participant_key)[:24] != own]
+    written = {one.topic_name: one.type_name for one in foreign}
     print(json.dumps({"heard": [vars_of(one) for one in heard], "written": written}))
 
 

@@ -149,7 +149,7 @@ def test_isotropic_descriptors_are_left_in_peace():
 def test_foreign_vectors_that_match_are_told():
     own = isotropic(100, 64)
     standing = describe(own, foreign=own[:50], threshold=0.9)
-    assert standing.as_is.foreign == pytest.approx(1 / 100)
+    assert standing.as_is.foreign == pytest.approx(1 / 99)  # the last row has none that follows it
     assert any("another place matches in 0.01" in sentence for sentence in standing.advice)
 
 
@@ -178,6 +178,25 @@ def test_suggested_thresholds_keep_foreign_places_out_and_neighbours_in(score):
     assert standing.as_is.foreign <= 2e-4
     near = np.diagonal(score_table(score, own, own), offset=1)
     assert (sign * near >= sign * strict).mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_long_drives_are_thinned_and_their_neighbours_stay_direct_ones(monkeypatch):
+    own, foreign = drive(900), isotropic(300, 100, seed=8)
+    whole = describe(own, foreign=foreign, neighbours=30)
+    monkeypatch.setattr("protocols.check.description.MOST_ROWS", 200)
+    few = describe(own, foreign=foreign, neighbours=30)
+    assert few.as_is.thresholds[1] == pytest.approx(whole.as_is.thresholds[1], abs=0.02)
+    assert few.as_is.effective_dimension == pytest.approx(whole.as_is.effective_dimension, rel=0.15)
+    assert few.count == whole.count == 900
+    assert (
+        describe(own, neighbours=200).as_is.effective_dimension > 1
+    )  # 200 of 900, not of those that are kept
+
+
+def test_an_l1_score_is_described_too():
+    standing = describe(drive(700), foreign=isotropic(100, 100, seed=8), score="S2", neighbours=30)
+    lax, strict = standing.as_is.thresholds
+    assert lax > strict and standing.as_is.bits is None and standing.as_is.foreign < 1e-3
 
 
 def test_where_nothing_tells_places_apart_no_threshold_is_suggested():

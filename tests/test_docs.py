@@ -15,12 +15,18 @@ import pytest
 
 import bench.accuracy
 import bench.agents.cli
+import bench.attacks.cli
+import bench.attacks.insider
+import bench.attacks.paths
+import bench.attacks.probes
+import bench.attacks.scans
 import bench.cli
 import bench.gallery
 import bench.gallery_pairs
 import bench.oracle
 import bench.recorded_accuracy
 import dealer.cli
+import protocols.check
 import spdz
 import spdz.__main__
 from bench.parties import free_port
@@ -218,7 +224,7 @@ def test_no_two_commands_of_the_pages_deal_into_one_folder_and_git_ignores_each(
     shutil.copy(ROOT / ".gitignore", tmp_path)
     folders = [folder for page in WITH_EXAMPLES for folder in re.findall(r"--out (\S+)", read(page))]
     assert len(folders) == len(set(folders)) >= 3
-    for folder in [*folders, "demo-output"]:
+    for folder in [*folders, "demo-output", "attacks-output"]:
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "file").touch()
     assert git_shows(tmp_path) == {".gitignore"}
@@ -265,7 +271,8 @@ def known_options() -> set[str]:
     commands = spdz.__main__.parser()
     (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
-    parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.oracle.parser()]
+    parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.attacks.cli.parser()]
+    parsers += [bench.oracle.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
@@ -293,7 +300,14 @@ def test_the_reference_names_everything_public():
 def test_the_reference_names_every_field_of_the_benchmark_and_every_counter():
     spans = set(code_spans(ROOT / "docs" / "reference.md"))
     rows = (bench.cli.Row, bench.gallery_pairs.GalleryRow, bench.accuracy.AccuracyRow, bench.oracle.OracleRow)
-    for kind in (*rows, bench.recorded_accuracy.RecordedRow, spdz.Stats):
+    attacks = (
+        bench.attacks.paths.PathRow,
+        bench.attacks.scans.ScanRow,
+        bench.attacks.probes.ProbeRow,
+        bench.attacks.insider.RefusalRow,
+    )
+    described = (protocols.check.Standing, protocols.check.Form, protocols.check.Norms)
+    for kind in (*rows, *attacks, *described, bench.recorded_accuracy.RecordedRow, spdz.Stats):
         assert {field.name for field in dataclasses.fields(kind)} <= spans
 
 

@@ -1,5 +1,6 @@
 """Finding each other: who starts first, forwarders in between, port scans, and the greeting of plain TCP."""
 
+import errno
 import socket
 import struct
 import threading
@@ -187,6 +188,19 @@ def test_an_abort_to_a_peer_that_does_not_read_ends_in_time():
             pass
         assert together(lambda: a.abort(4)) == [None]
         assert set(read_raw(b)) == {0}
+
+
+def test_a_network_that_was_lost_before_the_exchange_is_no_hang_up(monkeypatch):
+    a, b = meet(tcp.listen, tcp.connect)
+    with a, b:
+
+        def send(data):
+            raise TimeoutError(errno.ETIMEDOUT, "Connection timed out")
+
+        monkeypatch.setattr(a._stream, "send", send)
+        b.close()
+        with pytest.raises(ChannelTimeout, match="the network does not reach the peer any more"):
+            a.exchange(DATA, [b"1"], 1)
 
 
 def test_an_exchange_that_may_take_years_is_no_error_of_the_system():

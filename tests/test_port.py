@@ -6,15 +6,12 @@ import time
 
 import pytest
 from channel_helpers import CONTROL, LONG, SHORT, assert_alive, free_address, header, together
-from port_helpers import LIDAR, Background, by_hand, calling, connected, parked, until
+from port_helpers import LIDAR, PAIRS, Background, by_hand, calling, connected, parked, until
 
 from spdz.channels import port as port_module
 from spdz.channels.port import Port, dial
 from spdz.channels.topic import MAX_TOPIC, answer, topic_bytes
 from spdz.foundations.errors import ChannelTimeout, PeerAborted, ProtocolViolation
-
-PAIRS = [(robot, topic) for robot in ("bob", "carol") for topic in ("lidar", "camera")]
-
 
 # --- meeting
 

@@ -26,6 +26,7 @@ from spdz.foundations.errors import (
 )
 from spdz.readings.gallery import Terms
 from spdz.session import GallerySession, revealing
+from spdz.session.shelf import Shelf
 
 pytestmark = pytest.mark.usefixtures("no_sync")
 
@@ -268,6 +269,13 @@ def test_nothing_is_opened_twice_over_by_a_caller_that_is_called_back(galleries)
         session.step(lambda block: session.reveal([0], [0]))
 
     assert any(isinstance(outcome, TapeInUse) for outcome in galleries(TERMS, SLOTS).meet(work))
+
+
+def test_without_macs_nothing_is_opened_in_the_malicious_mode(galleries, monkeypatch):
+    standing = Shelf.standing
+    monkeypatch.setattr(Shelf, "standing", lambda self, slots: replace(standing(self, slots), mac=None))
+    for outcome in galleries(TERMS, SLOTS).meet(opening(data())):
+        assert isinstance(outcome, ValueError | SpdzError)
 
 
 # --- the two sides

@@ -163,6 +163,19 @@ def test_numbers_out_of_range_are_refused_before_a_check(compared, evil):
             assert found.error == "MacCheckFailed"
 
 
+@pytest.mark.parametrize("bit", [0, 9, 8 * DIM * SIZE, 8 * DIM * SIZE + 3])
+def test_a_bit_that_is_flipped_on_the_line_fails_the_check_of_both(compared, bit):
+    mission, ends = compared(), cables()
+
+    def flip(number, kind, own, theirs):
+        return (int.from_bytes(own, "little") ^ (number == SHOW) << bit).to_bytes(len(own), "little")
+
+    ends[1].say = flip
+    outcomes = mission.meet(again(data()), channels=ends)
+    assert isinstance(outcomes[0], MacCheckFailed) and isinstance(outcomes[1], SpdzError)
+    assert mission.destroyed(0)
+
+
 FORGERIES = {
     "random": lambda own, theirs: bytes(range(16)),
     "zeros": lambda own, theirs: bytes(16),

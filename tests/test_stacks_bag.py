@@ -115,7 +115,7 @@ def test_a_message_that_is_damaged_is_refused_and_the_rest_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "damage", ["cut off", "no metadata", "metadata that is none", "no bag at all", "zeros"]
+    "damage", ["cut off", "cut short", "no metadata", "metadata that is none", "no bag at all", "zeros"]
 )
 def test_a_bag_that_is_damaged_is_one_sentence(tmp_path, damage):
     bag = record(tmp_path / "bag", keyframes=400)
@@ -123,6 +123,10 @@ def test_a_bag_that_is_damaged_is_one_sentence(tmp_path, damage):
     data = file.read_bytes()
     if damage == "cut off":
         file.write_bytes(data[:-6000])
+    elif damage == "cut short":
+        bag = record(tmp_path / "small", keyframes=3)
+        (file,) = bag.glob("*.db3")
+        file.write_bytes(file.read_bytes()[:-50])
     elif damage == "zeros":
         file.write_bytes(data[:4096] + bytes(len(data) - 4096))
     elif damage == "no metadata":
@@ -202,6 +206,16 @@ def test_replay_shows_what_is_found_and_ends_when_all_is_settled(tmp_path):
     assert [news.number for news in shown] == [1, 2]
 
 
+@pytest.mark.parametrize("lacks", ["settled", "held"])
+def test_replay_does_not_end_before_all_is_compared(monkeypatch, lacks):
+    clock, agent = Slept(), FakeAgent(why={"bob": ""})
+    monkeypatch.setattr("protocols.stacks.replay.time.sleep", clock.sleep)
+    (settled,) = agent.status()["galleries"]
+    agent.status = lambda: {"galleries": [settled if clock.now > 100 else {**settled, lacks: 0}]}
+    Replay(agent, SwarmSlam(agent, ROLE), clock=clock).linger(5.0, threading.Event())
+    assert 105 < clock.now < 106
+
+
 # -- two agents from one bag ------------------------------------------------------------------------
 
 
@@ -260,5 +274,4 @@ def test_replaying_a_bag_that_is_none_is_one_json_error(tmp_path):
         [*REPLAY, str(tmp_path / "none"), *where], capture_output=True, text=True, timeout=100
     )
     assert done.returncode == 2 and done.stderr == ""
-    (error,) = [line for line in map(json.loads, done.stdout.splitlines()) if "error" in line]
-    assert "is no bag" in error["message"]
+    assert "is no bag" in json.loads(done.stdout)["message"]

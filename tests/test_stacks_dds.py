@@ -78,7 +78,10 @@ def test_descriptors_go_to_the_agent_and_matches_come_back_and_nothing_else_is_w
     np.testing.assert_array_equal(agent.added[24][0], unit(24))
     heard = [[0, keyframe, 1, 100 + keyframe, np.float32(0.8)] for keyframe in range(25)]
     assert sorted(told["heard"]) == heard
-    assert told["written"] == ["rt/cslam/inter_robot_loop_closure", "rt/cslam/inter_robot_matches"]
+    assert told["written"] == {
+        "rt/cslam/inter_robot_loop_closure": "cslam_common_interfaces::msg::dds_::InterRobotLoopClosure_",
+        "rt/cslam/inter_robot_matches": "cslam_common_interfaces::msg::dds_::InterRobotMatches_",
+    }
 
 
 @pytest.fixture
@@ -90,7 +93,7 @@ def graph(domain):
     participant = DomainParticipant(domain)
     yield transport, participant
     del participant
-    transport.close()
+    transport.close()  # a second time changes nothing
 
 
 def writer(participant, topic, kind):
@@ -160,6 +163,15 @@ def test_quality_of_service_is_reliable_volatile_and_a_hundred_deep(graph):
         assert isinstance(quality[Policy.Reliability], Policy.Reliability.Reliable)
         assert quality[Policy.Durability] == Policy.Durability.Volatile
         assert quality[Policy.History] == Policy.History.KeepLast(100)
+
+
+@pytest.mark.parametrize("domain", ["CYCLONEDDS_URI"], indirect=True)
+def test_a_closed_transport_is_gone_from_the_graph(graph):
+    transport, participant = graph
+    held, _ = writer(participant, "rt/r0/cslam/global_descriptors", GlobalDescriptors)
+    wait_for(lambda: held.get_matched_subscriptions())
+    transport.close()
+    wait_for(lambda: not held.get_matched_subscriptions())
 
 
 def test_a_domain_that_was_left_can_be_joined_again(domain):

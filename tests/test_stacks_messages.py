@@ -70,6 +70,7 @@ def test_what_cyclone_read_becomes_one_of_our_messages():
     read = from_foreign(GlobalDescriptors, made.deserialize(Codec().encode(message)))
     np.testing.assert_array_equal(read.descriptors[1].descriptor, message.descriptors[1].descriptor)
     assert read.descriptors[1].keyframe_id == 4
+    assert read.descriptors[1].descriptor.dtype == np.float64
 
 
 def test_the_descriptor_s_bytes_are_those_of_cdr():

@@ -86,7 +86,7 @@ def _run(options: argparse.Namespace) -> int:
         message = f"{error}. The attacks need more than the engine: {command}"
         say_error(name, "ImportError", message, as_json=options.json)
         return 1
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
         say_error(name, type(error).__name__, str(error), as_json=options.json)
         return 1
     if options.json:

@@ -125,6 +125,12 @@ class Agent:
             for peer in self._peers()
             for gallery in self._galleries
         ]
+        if plan.security != "malicious":
+            self._desk.tell(
+                "warning",
+                "this mission is semi-honest: a peer that deviates can make any pair match, and then sees "
+                "this robot's keyframes",
+            )
         for link in self._links:
             link.start()
 

@@ -34,13 +34,15 @@ class Wake:
         except (BlockingIOError, OSError):  # it has enough to wake for, or has ended
             return
 
-    def clear(self) -> None:
-        """Sleep again."""
+    def clear(self) -> bool:
+        """Sleep again; returns whether it was woken."""
+        woken = False
         try:
             while os.read(self._reading, 4096):
-                pass
+                woken = True
         except BlockingIOError:
-            return
+            pass
+        return woken
 
     def close(self) -> None:
         """Give both ends back."""

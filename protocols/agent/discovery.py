@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import math
+import re
 import threading
 import time
 from collections import deque
@@ -35,14 +36,14 @@ _END_SECONDS = 2.0
 _AGAIN = 60.0
 """Seconds before a peer that seems to move is told of again."""
 _LOOPBACK = 3
-_LONGEST_ID = 64  # as in certificates: dealer.pki
+_MISSION_ID = re.compile("[0-9a-f]{1,64}")
 
 
 class Discovery:
     """Announces this robot and looks for its peers.
 
     Args:
-        mission_id: Id of the dealing run; announcements of others are ignored.
+        mission_id: Id of the dealing run, in hexadecimal digits; announcements of others are ignored.
         robot: This robot's name.
         port: What it listens on, at every address; None announces nothing.
         peers: Names of the robots to look for.
@@ -64,8 +65,8 @@ class Discovery:
         *,
         interfaces: Sequence[str] | None = None,
     ) -> None:
-        if not (mission_id.isascii() and mission_id.isprintable() and 1 <= len(mission_id) <= _LONGEST_ID):
-            raise ValueError(f"a mission's id is 1 to {_LONGEST_ID} printable characters, not {mission_id!r}")
+        if not _MISSION_ID.fullmatch(mission_id):
+            raise ValueError(f"a mission's id is 1 to 64 lower-case hexadecimal digits, not {mission_id!r}")
         if port is not None and not 1 <= port <= 65535:
             raise ValueError(f"a port to announce is 1 to 65535, not {port!r}")
         self._zeroconf, self._ifaddr = _libraries()

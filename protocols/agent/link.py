@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+import time
 from pathlib import Path
 from typing import Any
+from typing import Protocol as Interface
 
 from protocols.agent.desk import Desk, Peer, Wake
 from protocols.agent.reasons import why_nothing
@@ -15,6 +16,7 @@ from protocols.agent.verifier import Verifier
 from spdz.channels import Channel
 from spdz.channels.telling import Teller
 from spdz.foundations.errors import (
+    ChannelClosed,
     ChannelError,
     MacCheckFailed,
     OutOfStep,
@@ -35,7 +37,18 @@ _SLOW = 10.0
 HEARTBEAT = 10.0
 """Seconds without a turn after which one is made anyway: so a dead line is noticed."""
 
-Reach = Callable[[Header, Path], Channel]
+_LOOK = 2.0
+"""Seconds between looks whether the peer calls anew while nothing is said."""
+
+
+class Reach(Interface):
+    """The way to one peer for one gallery."""
+
+    def __call__(self, header: Header, credentials: Path) -> Channel:
+        """Make a connection, or raise :class:`ChannelTimeout` after a few seconds."""
+
+    def is_called(self) -> bool:
+        """Whether the peer waits with another call."""
 
 
 class Link:
@@ -47,7 +60,7 @@ class Link:
         gallery: The gallery's name.
         tape: This robot's tape of it.
         terms: What it is for.
-        reach: Makes a connection to the peer, or raises :class:`ChannelTimeout` after a few seconds.
+        reach: Makes connections to the peer.
         verifier: The agent's.
     """
 
@@ -159,10 +172,12 @@ class Link:
 
     def _wait(self, session: Any) -> None:
         """Idle until there is a reason for a turn."""
-        seconds = self._turns.pause(HEARTBEAT)
-        if seconds > 0 and not self._desk.stop.is_set():
-            session.await_peer(seconds, self._wake.fileno())
-        self._wake.clear()
+        until = time.monotonic() + self._turns.pause(HEARTBEAT)
+        while (left := until - time.monotonic()) > 0 and not self._desk.stop.is_set():
+            if self._reach.is_called():
+                raise ChannelClosed(f"{self.peer} calls anew: it has lost this connection")
+            if session.await_peer(min(left, _LOOK), self._wake.fileno()) or self._wake.clear():
+                break
 
     def _resting(self) -> bool:
         """Whether the peer has too many strikes; then wait until they are forgiven."""

@@ -97,6 +97,10 @@ class Reaching:
             if part is not None:
                 part.close()
 
+    def is_called(self, peer: str, gallery: str) -> bool:
+        """Whether a peer waits with another call for a gallery."""
+        return self._port is not None and peer in self._answers and self._port.is_called(peer, gallery)
+
     def reach(self, peer: str, gallery: str, credentials: Path) -> Channel:
         """Meet a peer, or raise ChannelTimeout after a few seconds."""
         desk = self._desk
@@ -140,6 +144,10 @@ class _Way:
 
     def __init__(self, reaching: Reaching, peer: str, gallery: str) -> None:
         self._reaching, self._peer, self._gallery = reaching, peer, gallery
+
+    def is_called(self) -> bool:
+        """Whether the peer waits with another call."""
+        return self._reaching.is_called(self._peer, self._gallery)
 
     def __call__(self, header: Header, credentials: Path) -> Channel:
         """Meet it."""

@@ -12,6 +12,8 @@ RARE = 1e-4
 """Share of foreign pairs that may match: what "a probe must guess" needs."""
 _FEW_BITS = 300
 """Fewer probe bits than this fit a usual mission's slots."""
+_STRIKES = 22
+"""What three strikes in 300 slots leave, in bits: log2 of all answers with at most three matches."""
 _MANY = 0.25
 """More vanishing numbers than this are told."""
 _GAIN = 1.5
@@ -97,10 +99,11 @@ def _guessing(standing: Standing) -> Iterator[str]:
             "that is not yours matches."
         )
     elif form.bits is not None and form.bits < _FEW_BITS:
+        stops = "counting matches that nobody follows up does" if form.bits > _STRIKES else "nor do strikes"
         yield (
             f"after a first match {form.bits:.0f} probe bits, and some 30 to begin with, give a guess of "
             f"cosine 0.9 (effective dimension {form.effective_dimension:.0f}). The slots of a mission seldom "
-            "stop that; counting matches that nobody follows up does."
+            f"stop that; {stops}."
         )
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from protocols.check.describe import NEIGHBOURS, describe
+from protocols.check.description import NEIGHBOURS, describe
 from protocols.check.standing import Form, Standing
 from protocols.descriptors import load_descriptors
 from protocols.scores import SCORES

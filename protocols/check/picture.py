@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocols.check.clear_scores import score_table
-from protocols.check.spread import evenly
+from protocols.check.spread import evenly, thinned
 from protocols.check.standing import Standing
 from spdz.foundations.types import FloatArray
 
@@ -38,16 +38,17 @@ def draw(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    rows = evenly(_finite(own), _ROWS)
-    gap = -(-neighbours * len(rows) // standing.count)
+    everything = _finite(own)
+    index = evenly(len(everything) - 1, _ROWS)
+    rows = everything[index]
     scores = score_table(standing.score, rows, rows)
+    near = np.diagonal(score_table(standing.score, rows, everything[index + 1]))
     apart = np.abs(np.subtract.outer(np.arange(len(rows)), np.arange(len(rows))))
-    groups = [
-        ("direct neighbours", scores[apart == 1], "#009E73"),
-        ("others", scores[apart > gap], "#0072B2"),
-    ]
+    others = scores[apart > thinned(neighbours, len(everything), len(rows))]
+    groups = [("direct neighbours", near, "#009E73"), ("others", others, "#0072B2")]
     if foreign is not None:
-        theirs = score_table(standing.score, evenly(_finite(foreign), _ROWS), rows)
+        strangers = _finite(foreign)
+        theirs = score_table(standing.score, strangers[evenly(len(strangers), _ROWS)], rows)
         groups.append(("foreign", theirs.ravel(), "#E69F00"))
     figure = Figure(figsize=(8, 4.5), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from protocols.check.clear_scores import unit
-from spdz.foundations.types import FloatArray
+from spdz.foundations.types import FloatArray, IntArray
 
 SHRINKAGE = 0.3
 """What whitening adds to each variance, as a fraction of the mean variance."""
@@ -37,8 +37,8 @@ def effective_dimension(vectors: FloatArray, neighbours: int = 0) -> float:
     Raises:
         ValueError: if no pair is left.
     """
-    rows = evenly(vectors, MOST_ROWS)
-    gap = neighbours * len(rows) // max(len(vectors), 1) if len(rows) < len(vectors) else neighbours
+    rows = vectors[evenly(len(vectors), MOST_ROWS)]
+    gap = thinned(neighbours, len(vectors), len(rows))
     apart = np.abs(np.subtract.outer(np.arange(len(rows)), np.arange(len(rows)))) > gap
     if not apart.any():
         raise ValueError(
@@ -53,9 +53,14 @@ def effective_dimension(vectors: FloatArray, neighbours: int = 0) -> float:
     return dimension if square <= 0 else min(max(trace**2 / square, 1.0), dimension)
 
 
-def evenly(rows: FloatArray, most: int) -> FloatArray:
-    """At most so many rows, taken evenly."""
-    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).round().astype(np.int64)]
+def evenly(count: int, most: int) -> IntArray:
+    """At most so many of ``count`` indices, taken evenly."""
+    return np.asarray(np.linspace(0, count - 1, min(count, most)).round(), dtype=np.int64)
+
+
+def thinned(neighbours: int, count: int, kept: int) -> int:
+    """How far apart neighbours are at most where only so many of ``count`` rows were kept."""
+    return -(-neighbours * kept // max(count, 1))
 
 
 def bits_until(cosine: float, threshold: float, dimension: float) -> float:

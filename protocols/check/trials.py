@@ -38,10 +38,19 @@ class Trials:
     neighbours: int
     seed: int
 
-    def form(self, rows: FloatArray, foreign: FloatArray | None, threshold: float | None) -> Form:
-        """How rows ``(n, N)`` stand at a threshold, beside foreign ones ``(m, N)``."""
-        dim = rows.shape[1]
-        dimension, useful = effective_dimension(rows, self.neighbours), self.thresholds(rows, foreign)
+    def form(
+        self, rows: FloatArray, following: FloatArray, foreign: FloatArray | None, threshold: float | None
+    ) -> Form:
+        """How rows stand at a threshold.
+
+        Args:
+            rows: ``(n, N)``.
+            following: ``(n, N)``, of each row the one that came next.
+            foreign: ``(m, N)``, of another place, if there are any.
+            threshold: Of a match; None to try nothing.
+        """
+        dim, useful = rows.shape[1], self.thresholds(rows, following, foreign)
+        dimension = effective_dimension(rows, self.neighbours)
         if threshold is None:
             return Form(dimension, None, None, None, None, None, useful)
         cosine = threshold_cosine(self.score, threshold, self.norm)
@@ -58,16 +67,17 @@ class Trials:
             thresholds=useful,
         )
 
-    def thresholds(self, rows: FloatArray, foreign: FloatArray | None) -> tuple[float, float] | None:
+    def thresholds(
+        self, rows: FloatArray, following: FloatArray, foreign: FloatArray | None
+    ) -> tuple[float, float] | None:
         """Where a threshold makes sense, the laxer end first; None if there is no such place.
 
         It lets at most one pair in 10^4 of different places match (foreign ones, if there are any; else rows
         that are no neighbours), and half of the direct neighbours at least, which overlap.
         """
-        scores = score_table(self.score, rows, rows)
-        near = np.diagonal(scores, offset=1)
+        near = np.diagonal(score_table(self.score, rows, following))
         different = (
-            scores[self._apart(len(rows))]
+            score_table(self.score, rows, rows)[self._apart(len(rows))]
             if foreign is None
             else score_table(self.score, foreign, rows).ravel()
         )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -17,7 +18,7 @@ from protocols.stacks.front import Found, Running
 from protocols.stacks.messages import GlobalDescriptors
 from protocols.stacks.swarm_slam import SwarmSlam
 from protocols.stacks.topics import Topics
-from protocols.stacks.transport import Incoming, Payload, Transport
+from protocols.stacks.transport import Incoming, Outgoing, Payload, Transport
 
 PATIENCE = 10.0
 """Seconds without a descriptor, or a reader, after which that is said; the next time after twice as long."""
@@ -54,6 +55,7 @@ class Bridge:
     say: Callable[[str], None] = lambda sentence: None
     show: Callable[[Found], None] = lambda match: None
     clock: Callable[[], float] = time.monotonic
+    _pending: deque[Outgoing] = field(default_factory=deque)
     _due: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def run(self, ended: threading.Event, slice_seconds: float = 0.1) -> None:
@@ -80,10 +82,26 @@ class Bridge:
             self._publish()
 
     def _publish(self) -> None:
+        if not self._sent():
+            return
         for match in self.agent.matches(0.0):
-            for message in self.adapter.found(match):
-                self.transport.publish(message)
+            self._pending += self.adapter.found(match)
+            if not self._sent():
+                return
             self.show(match)
+
+    def _sent(self) -> bool:
+        """Send what is pending; False if the graph does not take it: it stays pending."""
+        while self._pending:
+            try:
+                self.transport.publish(self._pending[0])
+            except OSError as error:
+                if not self._told("writing", False):
+                    self.say(f"{error}; it is tried again")
+                return False
+            self._pending.popleft()
+        self._told("writing", True)
+        return True
 
     def _told(self, what: str, good: bool) -> bool:
         """Whether there is nothing to say now: all is well, or it was said not long ago."""

@@ -10,8 +10,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from protocols.agent import Agent, Event, Match
 from protocols.agent.options import peer_address, say_event, verify_function, write_line
@@ -28,6 +29,8 @@ from protocols.stacks.transport import Transport
 from protocols.stacks.zenoh import Zenoh
 from spdz.console.command import say_error
 from spdz.foundations.errors import SpdzError
+
+Source = TypeVar("Source", Transport, Bag)
 
 _ROS = """\
 Takes the place of Swarm-SLAM's loop-closure detection node: reads this robot's own descriptors
@@ -153,59 +156,55 @@ def _add_common(add: Callable[..., Any]) -> None:
 def run_ros(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
 
-    def work(agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
-        names = topics(options.namespace, **remapped(options.remap))
-        transport = _transport(options, names)
+    def work(transport: Transport, agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
+        names = _names(options)
         _tell(options, "joined", f"reading {names.descriptors}: {transport.where}")
-        try:
-            Bridge(
-                agent,
-                adapter,
-                transport,
-                names,
-                say=lambda sentence: _tell(options, "waiting", sentence),
-                show=lambda match: _show(options, match),
-            ).run(ended)
-        finally:
-            transport.close()
+        Bridge(
+            agent,
+            adapter,
+            transport,
+            names,
+            say=lambda sentence: _tell(options, "waiting", sentence),
+            show=lambda match: _show(options, match),
+        ).run(ended)
 
-    return _run(options, "python -m spdz ros", work, announce=options.announce, shared=options.shared_graph)
+    how = {"announce": options.announce, "shared": options.shared_graph}
+    return _run(options, "python -m spdz ros", lambda: _transport(options), work, **how)
 
 
 def run_replay(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
 
-    def work(agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
-        bag = Bag(options.bag, options.topic, _payload(options))
-        try:
-            _tell(options, "reading", f"reading {', '.join(bag.topics)} of {bag.path}")
-            replay = Replay(agent, adapter, options.speed, show=lambda match: _show(options, match))
-            replay.feed(bag, ended)
-        finally:
-            bag.close()
+    def work(bag: Bag, agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
+        _tell(options, "reading", f"reading {', '.join(bag.topics)} of {bag.path}")
+        replay = Replay(agent, adapter, options.speed, show=lambda match: _show(options, match))
+        replay.feed(bag, ended)
         _tell(options, "fed", f"{adapter.counts['added']} keyframes of the bag are with the agent")
         replay.linger(options.quiet_seconds, ended)
 
-    return _run(options, "python -m spdz replay", work, team=True)
+    def bag() -> Bag:
+        return Bag(options.bag, options.topic, _payload(options))
+
+    return _run(options, "python -m spdz replay", bag, work, team=True)
 
 
 def _run(
     options: argparse.Namespace,
     name: str,
-    work: Callable[[Agent, SwarmSlam, threading.Event], None],
+    opened: Callable[[], Source],
+    work: Callable[[Source, Agent, SwarmSlam, threading.Event], None],
     **how: Any,
 ) -> int:
-    """An agent with its adapter, from the folder to the last sentence."""
+    """Work with a source of keyframes and an agent, from the folder to the last sentence."""
     ended = threading.Event()
     try:
         folder = Folder.open(options.mission)
         role = role_of(folder.mission, folder.robot, options.descriptor)
-        with Agent(
-            options.mission,
-            verify=verify_function(options.verify),
-            listen=options.listen,
-            peers=dict(map(peer_address, options.peer)),
-        ) as agent:
+        verify, peers = verify_function(options.verify), dict(map(peer_address, options.peer))
+        with (
+            closing(opened()) as source,
+            Agent(options.mission, verify=verify, listen=options.listen, peers=peers) as agent,
+        ):
             adapter = SwarmSlam(
                 agent,
                 role,
@@ -218,7 +217,7 @@ def _run(
             teller.start()
             for number in (signal.SIGINT, signal.SIGTERM):
                 signal.signal(number, lambda *_: ended.set())
-            work(agent, adapter, ended)
+            work(source, agent, adapter, ended)
         teller.join(timeout=5.0)
         _report(options, adapter.report(agent.status()))
     except (ValueError, OSError, SpdzError) as error:
@@ -227,7 +226,12 @@ def _run(
     return 0
 
 
-def _transport(options: argparse.Namespace, names: Topics) -> Transport:
+def _names(options: argparse.Namespace) -> Topics:
+    return topics(options.namespace, **remapped(options.remap))
+
+
+def _transport(options: argparse.Namespace) -> Transport:
+    names = _names(options)
     domain = options.domain
     if domain is None:
         text = os.environ.get("ROS_DOMAIN_ID", "0")

@@ -182,9 +182,15 @@ class Dds:
 
         Raises:
             ValueError: for any other.
+            OSError: if it cannot be written.
         """
+        from cyclonedds.core import DDSException
+
         require_public(message)
-        self._writers[type(message)].write(to_idl(message, self._types))
+        try:
+            self._writers[type(message)].write(to_idl(message, self._types))
+        except DDSException as error:
+            raise OSError(f"a message could not be written on {self.where}: {error}") from error
 
     def writers(self) -> int:
         """How many others write descriptors."""
@@ -196,9 +202,10 @@ class Dds:
 
     def close(self) -> None:
         """Leave the domain."""
-        self._readers.clear()
-        self._writers.clear()
-        del self._waiting, self._participant, self._domain  # entities end when nothing holds them
+        if self._readers:
+            self._readers.clear()
+            self._writers.clear()
+            del self._waiting, self._participant, self._domain  # entities end when nothing holds them
 
 
 def _quality() -> Any:

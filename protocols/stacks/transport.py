@@ -36,7 +36,7 @@ class Transport(Protocol):
         """What has come; waits up to so many seconds for the first."""
 
     def publish(self, message: Outgoing) -> None:
-        """Send a public message; ValueError for any other, before anything is sent."""
+        """Send a public message; ValueError for any other, and OSError if it cannot be written."""
 
     def writers(self) -> int | None:
         """How many others write descriptors; None where that cannot be told."""

@@ -159,11 +159,17 @@ class Zenoh:
 
         Raises:
             ValueError: for any other.
+            OSError: if it cannot be written.
         """
+        import zenoh
+
         require_public(message)
         data = self._codec.encode(message)
-        for publisher in self._publishers[type(message)]:
-            publisher.put(data, attachment=attachment(next(self._sent), time.time_ns(), self._gid))
+        try:
+            for publisher in self._publishers[type(message)]:
+                publisher.put(data, attachment=attachment(next(self._sent), time.time_ns(), self._gid))
+        except zenoh.ZError as error:
+            raise OSError(f"a message could not be written on {self.where}: {error}") from error
 
     def writers(self) -> None:
         """None: Zenoh does not tell."""

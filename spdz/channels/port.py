@@ -7,8 +7,9 @@ Nobody waits for ever. A call that is not taken within ``timeout`` is dropped on
 calls again while its ``wait`` lasts. So what is taken is recent, also where a radio link went without a sign.
 A channel over which nothing is sent breaks on either side when the other is out of reach for about that long.
 
-Security limits: MAX_HANDSHAKES callers at a time (:mod:`spdz.channels.reception`), each for ``timeout``
-seconds at most; one waiting call for each peer and topic; MAX_TOPIC bytes of a topic.
+Security limits: callers under way are MAX_HANDSHAKES (:mod:`spdz.channels.reception`) and one for each peer
+and topic, so that all peers may come at once, each for ``timeout`` seconds at most; waiting calls are one for
+each peer and topic; a topic has MAX_TOPIC bytes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from spdz.channels.calling import dial
 from spdz.channels.frames import MAX_FRAME
 from spdz.channels.listening import Listener, addresses_of, open_listener
 from spdz.channels.parking import Parking
-from spdz.channels.reception import Reception
+from spdz.channels.reception import MAX_HANDSHAKES, Reception
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.telling import Teller, harmless, ignore, in_seconds
 from spdz.channels.tls import make_context
@@ -204,7 +205,8 @@ class Port:
             except ChannelError as error:  # what is not allowed now may be allowed later
                 self._teller.tell(str(error), "; trying again")
         with self._listener as listener:
-            self._reception = Reception(listener, self._admit, self._teller, self._timeout, self._awake)
+            most = MAX_HANDSHAKES + len(self._peers) * len(self._topics)
+            self._reception = Reception(listener, self._admit, self._teller, self._timeout, self._awake, most)
             with contextlib.closing(self._reception) as reception:
                 self._where, self._absent = addresses_of(listener), ""
                 whom = ", ".join(map(repr, self._peers))

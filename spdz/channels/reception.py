@@ -115,6 +115,7 @@ class Reception(Generic[AnyCaller]):
         teller: Is told who is refused, and when no connection can be taken.
         patience: Seconds that a caller may take.
         wake: Ends a wait as soon as it can be read.
+        most: Callers to have under way.
     """
 
     def __init__(
@@ -124,11 +125,12 @@ class Reception(Generic[AnyCaller]):
         teller: Teller,
         patience: float = math.inf,
         wake: socket.socket | None = None,
+        most: int = MAX_HANDSHAKES,
     ) -> None:
         self._doors = {sock.fileno(): sock for sock in listener.sockets}
         self._admit_one = admit
         self._teller = teller
-        self._patience = patience
+        self._patience, self._most = patience, most
         self._wake = None if wake is None else wake.fileno()
         self._visits: dict[int, _Visit[AnyCaller]] = {}  # by descriptor, the oldest first
         self._poll = select.poll()
@@ -192,7 +194,7 @@ class Reception(Generic[AnyCaller]):
         self._no_room = ""
         host = _host(sock)
         caller = self._admit_one(sock)
-        if len(self._visits) >= MAX_HANDSHAKES:
+        if len(self._visits) >= self._most:
             self._let_go(self._least_worth_waiting_for()).stream.close()
         self._visits[caller.stream.fileno()] = _Visit(caller, host, time.monotonic() + self._patience)
         self._poll.register(caller.stream, select.POLLIN)

@@ -109,6 +109,8 @@ class SocketChannel(Channel):
         if count is None:
             return False
         if count == 0:
+            if isinstance(self._send_error, TimeoutError):  # told once, to whoever asks first
+                raise lost(self._send_error, reader.progress())
             raise ChannelClosed(f"the peer closed the connection ({reader.progress()})")
         reader.advance(count)
         return not reader.complete

@@ -45,7 +45,7 @@ MOST = 2048
 _TOGETHER = 1 << 18
 """Coordinates of one party that are opened at a time: 4 MB of elements an array."""
 
-Slots = tuple[list[int], list[int]]
+Opened = tuple[list[int], list[int]]
 """Slots of party 0 and of party 1, ascending."""
 
 
@@ -81,7 +81,7 @@ class Revealing:
         """0 or 1."""
         return int(self.tape.header.party)
 
-    def checked(self, own: Sequence[int], expected: Sequence[int]) -> Slots:
+    def checked(self, own: Sequence[int], expected: Sequence[int]) -> Opened:
         """What is to be opened, of party 0 and of party 1 (26.1).
 
         Raises:
@@ -103,7 +103,7 @@ class Revealing:
                 raise ValueError(f"at most {MOST} slots of a robot are opened at a time, not {len(slots)}")
         return opened
 
-    def open(self, connection: Connection, agreement: Agreement, opened: Slots) -> dict[int, FloatArray]:
+    def open(self, connection: Connection, agreement: Agreement, opened: Opened) -> dict[int, FloatArray]:
         """Open slots on both sides, and give the peer's vectors (26.2 to 26.6)."""
         self._agree(agreement, opened)
         together = max(1, _TOGETHER // self.terms.dim)
@@ -134,7 +134,7 @@ class Revealing:
                 self._matched[owner].update(matched.tolist())
             self._strips += 1
 
-    def _agree(self, agreement: Agreement, opened: Slots) -> None:
+    def _agree(self, agreement: Agreement, opened: Opened) -> None:
         """26.2."""
         words = hashlib.sha256()
         for shelf, slots in zip(self.shelves, opened, strict=True):
@@ -153,7 +153,7 @@ class Revealing:
                 "restored from another copy. Deal new tapes"
             )
 
-    async def _open(self, opened: Slots, mac_check: MacCheck | None) -> IntArray:
+    async def _open(self, opened: Opened, mac_check: MacCheck | None) -> IntArray:
         """26.3 to 26.5 for some slots of either party; the peer's vectors, raw."""
         known = [shelf.standing(slots) for shelf, slots in zip(self.shelves, opened, strict=True)]
         own, theirs = known[self.party], known[1 - self.party]
@@ -173,9 +173,12 @@ class Revealing:
 
 def _record(mac_check: MacCheck, standing: Standing, received: IntArray) -> None:
     """26.4 for the slots of one party."""
-    if standing.mac is not None and len(standing):
-        r = received - standing.words if standing.s is None else -standing.s
-        mac_check.record(elements.from_int64(r), standing.mac)
+    if not len(standing):
+        return
+    if standing.mac is None:
+        raise ValueError("there are no MACs in the semi-honest mode")
+    r = received - standing.words if standing.s is None else -standing.s
+    mac_check.record(elements.from_int64(r), standing.mac)
 
 
 def _numbers(slots: Sequence[int]) -> list[int]:

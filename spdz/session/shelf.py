@@ -132,10 +132,8 @@ class Shelf:
         known = replace(self._terms.standing(self.owner), eps=self._eps[list(slots)])
         if not slots:
             return replace(known, s=known.words if self._own else None)
-        header, stream = self._tape.header, self._stream(slots)
-        party = configured(
-            Party(header.party, self._terms.security, stream, None, None, Stats()), self._terms
-        )
+        index, security = self._tape.header.party, self._terms.security
+        party = configured(Party(index, security, self._stream(slots), None, None, Stats()), self._terms)
         mask, mac = party.input_mask(Input(self.owner, shape, self._terms.norm))
         return replace(known, s=None if mask is None else field_offsets(mask), mac=mac)
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from protocols.check.advice import advice
 from protocols.check.clear_scores import score_table
-from protocols.check.spread import MOST_ROWS, SHRINKAGE, Whitening, evenly
+from protocols.check.spread import MOST_ROWS, SHRINKAGE, Whitening, evenly, thinned
 from protocols.check.standing import Norms, Standing
 from protocols.check.trials import Trials
 from protocols.scores import SCORES
@@ -67,25 +67,28 @@ def describe(
         )
     others = None if foreign is None else _foreign(foreign, rows.shape[1])
     most = _L1_ROWS if score in ("S1", "S2") else MOST_ROWS
-    kept = evenly(good, most)
+    index = evenly(len(good) - 1, most)
+    kept, following = good[index], good[index + 1]
     norms = _norms(good, max_norm)
-    trials = Trials(score, norms.median, -(-neighbours * len(kept) // len(good)), seed)
-    theirs = None if others is None else evenly(others, most)
-    useful = trials.thresholds(kept, theirs)
+    trials = Trials(score, norms.median, thinned(neighbours, len(good), len(kept)), seed)
+    theirs = None if others is None else others[evenly(len(others), most)]
+    useful = trials.thresholds(kept, following, theirs)
     at = threshold if threshold is not None or useful is None else useful[0]
     # What learns the statistics is not what is judged by them: few rows look white under their own.
     half = len(kept) // 2
-    public, judged, strangers = kept[:half], kept[half:], theirs
+    public, judged, after, strangers = kept[:half], kept[half:], following[half:], theirs
     source = "the first half of the descriptors themselves, and judged on the second"
     if theirs is not None and len(theirs) >= fewest:
-        public, judged, strangers = theirs[: len(theirs) // 2], kept, theirs[len(theirs) // 2 :]
+        public, strangers = theirs[: len(theirs) // 2], theirs[len(theirs) // 2 :]
+        judged, after = kept, following
         source = "the first half of the foreign descriptors, and the second half tried against these"
-    forms = [trials.form(kept, theirs, at)]
+    forms = [trials.form(kept, following, theirs, at)]
     for shrinkage in (None, SHRINKAGE):
         changed = Whitening.fit(public, shrinkage)
         forms.append(
             trials.form(
                 changed.applied(judged, norms.median),
+                changed.applied(after, norms.median),
                 None if strangers is None else changed.applied(strangers, norms.median),
                 at,
             )
@@ -105,7 +108,7 @@ def describe(
         as_is=forms[0],
         centred=forms[1],
         whitened=forms[2],
-        rounding=_rounding(score, evenly(kept, _L1_ROWS)),
+        rounding=_rounding(score, kept[evenly(len(kept), _L1_ROWS)]),
         vanished=_vanished(good),
         advice=(),
     )
