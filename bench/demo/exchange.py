@@ -42,10 +42,10 @@ class Exchanged:
             Alice's frame.
         bytes_sent: For the comparisons.
         rounds: Of the comparisons.
-        milliseconds: Of the comparisons, the slower robot's, from the connection on.
+        milliseconds: From the connection until all was compared, shown and verified; the slower robot's.
         shown: Keyframes whose submap a robot has shown.
         payload_bytes: Of these submaps.
-        verifying: Milliseconds that one verdict takes, the median of the slower robot.
+        verifying: Milliseconds of it that the slower robot verified.
     """
 
     decisions: npt.NDArray[np.bool_] = field(repr=False)

@@ -128,15 +128,13 @@ def main() -> int:
 
 def _result(agent: Agent, clock: Clock, verification: Verification, expected: int) -> dict[str, Any]:
     """Wait for the end, then say what was found."""
-    compared, deadline = None, time.monotonic() + LONGEST
+    began = time.perf_counter()
     while True:
         (link,) = agent.status()["galleries"]
         all_held = link["held"] == link["keyframes"] and link["peer_held"] == expected
-        if compared is None and all_held and link["pairs"] == link["keyframes"] * expected:
-            compared = time.perf_counter()
-        if compared is not None and link["settled"]:
+        if all_held and link["pairs"] == link["keyframes"] * expected and link["settled"]:
             break
-        if clock.trouble or time.monotonic() > deadline:
+        if clock.trouble or time.perf_counter() > began + LONGEST:
             return {"error": clock.trouble or f"not at an end after {LONGEST:.0f} s: {link['why']['text']}"}
         time.sleep(LOOK)
     last = {news.match: news for news in agent.matches(timeout=0.0, again=True)}
@@ -149,12 +147,10 @@ def _result(agent: Agent, clock: Clock, verification: Verification, expected: in
         "matches": matches,
         "bytes_sent": link["bytes_sent"],
         "rounds": link["rounds"],
-        "pairs": link["pairs"],
-        "strikes": link["strikes"],
-        "ms": (compared - (clock.connected or compared)) * 1e3,
+        "ms": (time.perf_counter() - (clock.connected or began)) * 1e3,
         "shown_bytes": sum(verification.shown.values()),
         "shown": len(verification.shown),
-        "verify_ms": float(np.median(verification.seconds or [0.0])) * 1e3,
+        "verify_ms": sum(verification.seconds) * 1e3,
     }
 
 

@@ -15,7 +15,7 @@ All of it is deterministic: the same points give the same answer on the same mac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -43,14 +43,16 @@ FARTHEST_SHIFT = 5.0
 """Metres between two keyframes up to which they are looked for."""
 CELL = 0.25
 """Side of the coarse search's cells in metres."""
-REACH = 24.0
+REACH = 20.0
 """Metres around the keyframes that the coarse search looks at."""
 GATES = 1.5, 0.4
 """Metres within which a point finds its line: at first, and after the gate has shrunk."""
 SCALE = 0.05
 """Least scale of the Cauchy weights in metres: about the noise of a scan."""
-MOVED, SPARSE = 12.0, 0.1
-"""Moved about are points within 12 m of the keyframe, one of each square of 0.1 m."""
+MOVED, SPARSE = 12.0, 0.15
+"""Moved about are points within 12 m of the keyframe, one of each square of 0.15 m."""
+SETTLED = 5e-4
+"""Metres and radians that a step of the refinement moves no more than in the end."""
 STARTS = 3
 """Peaks of the coarse search that are refined."""
 APART = 1.0, 0.2
@@ -117,7 +119,8 @@ def align(
         headings = np.arange(-np.pi, np.pi, np.radians(HEADINGS))
     else:
         headings = heading + np.radians(np.arange(-spread, spread + HEADINGS / 2, HEADINGS))
-    fits = [_fit(first, second, start) for start in _coarse(first.points, second.points, headings)]
+    lines, starts = _Lines.of(first), _coarse(first.points, second.points, headings)
+    fits = [_fit(first, lines, second, start) for start in starts]
     fits.sort(key=lambda fit: -fit.share)
     best = fits[0]
     if best.why or best.share < share:
@@ -133,43 +136,54 @@ def align(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """The points of a submap with the lines they lie on.
+    """The points of a submap.
 
     Attributes:
         points: ``(n, 2)``.
         tree: Finds the nearest of them.
-        normals: ``(n, 2)``, across the line at each point.
-        flat: ``(n,)``, whether the points around it lie on a line at all.
-        near: ``(n,)``, whether a point is near the keyframe.
-        sparse: ``(k, 2)``, fewer of the points around the keyframe: those that are moved about.
+        near: ``(k, 2)``, those near the keyframe, which are counted.
+        sparse: ``(m, 2)``, fewer of those around it, which are moved about.
     """
 
     points: FloatArray
     tree: cKDTree
-    normals: FloatArray
-    flat: npt.NDArray[np.bool_]
-    near: npt.NDArray[np.bool_]
+    near: FloatArray
     sparse: FloatArray
 
     @staticmethod
     def of(points: FloatArray) -> _Surface | None:
-        """The lines by principal components of each point's neighbours; None if there are too few points."""
+        """Look at points; None if there are too few near the keyframe."""
         from scipy.spatial import cKDTree
 
         away = np.hypot(points[:, 0], points[:, 1])
-        near = away < NEAR
-        if np.count_nonzero(near) < LEAST_POINTS:
+        near = points[away < NEAR]
+        if len(near) < LEAST_POINTS:
             return None
-        tree = cKDTree(points)
-        distance, index = tree.query(points, k=NEIGHBOURS)
-        around = points[index] - points[index].mean(axis=1, keepdims=True)
+        return _Surface(points, cKDTree(points), near, thin(points[away < MOVED], SPARSE))
+
+
+class _Lines(NamedTuple):
+    """The lines on which the points of a surface lie.
+
+    Attributes:
+        normals: ``(n, 2)``, across the line at each point.
+        flat: ``(n,)``, whether the points around it lie on a line at all.
+    """
+
+    normals: FloatArray
+    flat: npt.NDArray[np.bool_]
+
+    @staticmethod
+    def of(surface: _Surface) -> _Lines:
+        """By principal components of each point's neighbours."""
+        distance, index = surface.tree.query(surface.points, k=NEIGHBOURS)
+        around = surface.points[index] - surface.points[index].mean(axis=1, keepdims=True)
         xx, yy = (around**2).mean(axis=1).T
         xy = (around[..., 0] * around[..., 1]).mean(axis=1)
         along = np.arctan2(2 * xy, xx - yy) / 2
         mean, radius = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
         flat = (mean - radius <= FLATNESS**2 * (mean + radius)) & (distance[:, -1] <= LINE_RADIUS)
-        normals = np.stack([-np.sin(along), np.cos(along)], axis=1)
-        return _Surface(points, tree, normals, flat, near, thin(points[away < MOVED], SPARSE))
+        return _Lines(np.stack([-np.sin(along), np.cos(along)], axis=1), flat)
 
 
 def _coarse(own: FloatArray, other: FloatArray, headings: FloatArray) -> list[FloatArray]:
@@ -212,18 +226,18 @@ def _apart(first: Alignment, second: Alignment) -> bool:
     return _differ(np.array(first.transform), np.array(second.transform))
 
 
-def _fit(own: _Surface, other: _Surface, start: FloatArray) -> Alignment:
+def _fit(own: _Surface, lines: _Lines, other: _Surface, start: FloatArray) -> Alignment:
     """Refine a start, then judge it."""
     pose, (gate, last), support = start.copy(), GATES, 0.0
     for _ in range(40):
         moved = apply(pose, other.sparse)
         distance, index = own.tree.query(moved, distance_upper_bound=gate)
         paired = np.flatnonzero(np.isfinite(distance))
-        paired = paired[own.flat[index[paired]]]
+        paired = paired[lines.flat[index[paired]]]
         if len(paired) < LEAST_PAIRS:
             return Alignment(None, 0.0, float("nan"), "too few points lie on common lines")
         moved, nearest = moved[paired], index[paired]
-        normals = own.normals[nearest]
+        normals = lines.normals[nearest]
         error = ((moved - own.points[nearest]) * normals).sum(axis=1)
         scale = max(SCALE, 1.5 * float(np.median(np.abs(error))))
         weight = 1 / (1 + (error / scale) ** 2)
@@ -236,24 +250,19 @@ def _fit(own: _Surface, other: _Surface, start: FloatArray) -> Alignment:
             normal + 1e-3 * len(paired) * np.diag([1, 1, 1e-3]), slope.T @ (weight * error)
         )
         pose = pose + step
-        if np.abs(step).max() < 1e-4 and gate == last:
+        if np.abs(step).max() < SETTLED and gate == last:
             break
         gate = max(last, gate * 0.8)
-    there, residual = _inliers(own, other, pose)
-    back, _ = _inliers(other, own, inverse(pose))
+    moved = apply(pose, other.near)
+    distance, index = own.tree.query(moved, distance_upper_bound=INLIER)
+    found = np.isfinite(distance)
+    nearest = index[found]
+    across = ((moved[found] - own.points[nearest]) * lines.normals[nearest]).sum(axis=1)
+    across = across[lines.flat[nearest]]
+    residual = float(np.sqrt(np.mean(across**2))) if len(across) else float("nan")
+    back, _ = other.tree.query(apply(inverse(pose), own.near), distance_upper_bound=INLIER)
+    share = min(float(found.mean()), float(np.isfinite(back).mean()))
     transform = float(pose[0]), float(pose[1]), float((pose[2] + np.pi) % (2 * np.pi) - np.pi)
     slides = support < LEAST_SUPPORT
     why = "the walls are all parallel: one submap slides along the other" if slides else ""
-    return Alignment(transform, min(there, back), residual, why)
-
-
-def _inliers(own: _Surface, other: _Surface, pose: FloatArray) -> tuple[float, float]:
-    """The share of the other's near points that have a neighbour here, and their distances from its line."""
-    moved = apply(pose, other.points[other.near])
-    distance, index = own.tree.query(moved, distance_upper_bound=INLIER)
-    found = np.flatnonzero(np.isfinite(distance))
-    on_line = found[own.flat[index[found]]]
-    nearest = index[on_line]
-    across = ((moved[on_line] - own.points[nearest]) * own.normals[nearest]).sum(axis=1)
-    residual = float(np.sqrt(np.mean(across**2))) if len(on_line) else float("nan")
-    return len(found) / len(moved), residual
+    return Alignment(transform, share, residual, why)
