@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from agent_helpers import bobs, deal, feed, found, honest, news, places, plan, robots, until
 
-from protocols.agent import Agent, Event, Meeting, RecordsError, Verdict
-from protocols.agent import turn as turns
+from protocols.agent import Agent, Event, Meeting, RecordsError, Verdict, turns
 
 UNIT = np.eye(16)[0]
 

@@ -5,10 +5,12 @@
     keyframe   what it is given, and what a verification sees and says
     events     what it tells
     agent      the agent; asynchronous: for asyncio; cli, lines, folder_watch: for people and other programs
-    link       one gallery with one peer: connections; turn, turns, showing: what is done over them
-    records    the durable file; keyframes, matches: what is in it
-    verifier   the thread of the user's verification; budgets, reasons: what is refused, and why nothing came
-    reaching   one port for all peers; discovery: where they are
+    link       one gallery with one peer: connections; turns, saying, showing: what is done over them
+    records    the durable file; keyframes, matches, news, strikes: what is in it; evidence: shown to people
+    verifier   the thread of the user's verification
+    allowance  what a peer is granted; budgets: in a minute; reasons: why nothing matched
+    reaching   one port for all peers; discovery, sightings: where they are
+    desk       what all of these share
 """
 
 from protocols.agent.agent import Agent

@@ -237,6 +237,6 @@ def _libraries() -> tuple[Any, Any]:
             "finding robots on the local network takes the package zeroconf, which is missing: "
             "pip install 'spdz[agent]', or give the robots' addresses"
         ) from error
-    # Without a handler of the program's, Python would write what zeroconf logs to the terminal, tracebacks too.
+    # Without a handler of the program's, Python writes what zeroconf logs to the terminal, tracebacks too.
     logging.getLogger("zeroconf").addHandler(logging.NullHandler())
     return zeroconf, ifaddr

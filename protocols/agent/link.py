@@ -11,7 +11,7 @@ from typing import Protocol as Interface
 from protocols.agent.desk import Desk, Peer, Wake
 from protocols.agent.reasons import why_nothing
 from protocols.agent.records import RecordsError
-from protocols.agent.turn import Turns
+from protocols.agent.turns import Turns
 from protocols.agent.verifier import Verifier
 from spdz.channels import Channel
 from spdz.channels.telling import Teller

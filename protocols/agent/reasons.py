@@ -13,7 +13,7 @@ def why_nothing(peer: str, state: str, why: str, counts: Mapping[str, Any]) -> d
         peer: The other robot.
         state: Of the link: ``connected``, ``waiting``, ``refused``, ``stopped`` or ``destroyed``.
         why: What the link says of that.
-        counts: Of the gallery, as :meth:`protocols.agent.turn.Turns.status` gives them.
+        counts: Of the gallery, as :meth:`protocols.agent.turns.Turns.status` gives them.
 
     Returns:
         ``code`` and ``text``; both empty where there is a verified match.

@@ -19,7 +19,7 @@ from typing import Any
 
 from protocols.agent.keyframe import MAX_ID, Keyframe
 from protocols.agent.matches import Pair
-from protocols.agent.turns import MOST_PAIRS, read_slots
+from protocols.agent.saying import MOST_PAIRS, read_slots
 from spdz.foundations.errors import ProtocolViolation
 from spdz.session import GallerySession
 

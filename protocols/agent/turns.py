@@ -1,121 +1,241 @@
-"""What two agents tell each other at the beginning of a turn, and what they take of it.
-
-A turn is one exchange of a note, then perhaps a gallery's step or the showing of matches. Either side begins
-one when it has something to say; the other sees that and begins its own.
-"""
+"""The turns of one gallery with one peer: what is brought, what is compared, what is shown."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
-from protocols.agent.matches import Outcome, Pair
-from spdz.foundations.errors import ProtocolViolation
-from spdz.foundations.types import Json
+import numpy as np
 
-TOGETHER = 256
-"""Most descriptors that one side brings in a turn."""
-MOST_PAIRS = 8
-"""Most matches that are shown in a turn."""
-MOST_OUTCOMES = 64
-"""Most verdicts that are told in a turn."""
+from protocols.agent.allowance import Allowance
+from protocols.agent.desk import Desk, Peer
+from protocols.agent.events import Event
+from protocols.agent.keyframe import Keyframe, Meeting, Verdict
+from protocols.agent.keyframes import Slots, digest_of
+from protocols.agent.matches import Matches, Pair
+from protocols.agent.saying import MOST_OUTCOMES, MOST_PAIRS, TOGETHER, Saying
+from protocols.agent.showing import show
+from protocols.agent.verifier import Verifier
+from spdz.foundations.types import IntArray
+from spdz.readings.gallery import Terms
+from spdz.session import Block, GallerySession, Step
 
-_NUMBERS = ("new", "due", "room")
-_STATES = ("verified", "rejected")
-_KEYS = {"new", "due", "room", "open", "want", "outcomes", "leave"}
+_AGAIN = 1.0
+"""Seconds before what the peer would not do now is asked for again."""
 
 
-@dataclass(frozen=True, slots=True)
-class Saying:
-    """One side's note.
+class Turns:
+    """One side of all turns with a peer, over as many connections as it takes.
 
-    Attributes:
-        new: Descriptors that this side brings now, if the peer takes them.
-        due: How many of them are in slots already and must be taken first.
-        room: How many descriptors of the peer's it takes now: 0 while a budget is spent.
-        open: Whether pairs of filled slots wait to be compared on this side.
-        want: Matches (own slot, peer's slot) whose other half it has not seen.
-        outcomes: Its verdicts that the peer has perhaps not heard.
-        leave: Whether it ends now.
+    Args:
+        desk: The agent's.
+        peer: The other robot and its budgets.
+        gallery: The gallery's name.
+        terms: What it is for.
+        verifier: Gives verdicts.
+        wake: Has a turn made soon.
     """
 
-    new: int
-    due: int
-    room: int
-    open: bool
-    want: Sequence[Pair]
-    outcomes: Sequence[Outcome]
-    leave: bool
+    def __init__(
+        self, desk: Desk, peer: Peer, gallery: str, terms: Terms, verifier: Verifier, wake: Callable[[], None]
+    ) -> None:
+        self._desk, self._peer, self._gallery, self._terms = desk, peer, gallery, terms
+        self._where = (peer.name, gallery)
+        self._matches = Matches(desk.records, *self._where)
+        self._slots = Slots(desk.records, *self._where)
+        self._allowance = Allowance(peer, desk.strikes, lambda text: self._tell("budget", text))
+        self._verifier, self._wake = verifier, wake
+        self._waiting: list[IntArray] = []
+        self._capacity = (0, 0)
+        self._known: dict[int, int | None] = {}
+        self._true: set[Pair] = set()
+        self._asked: dict[Pair, float] = {}
+        self._held = [0, 0]
+        self._left = 0
+        self._sent = self._rounds = self._compared = 0
+        self._ask_from = self._bring_from = 0.0  # not before, on the monotonic clock
+        self._full = self._open = False
 
-    def as_json(self) -> dict[str, Json]:
-        """As it is sent."""
-        return {
-            "new": self.new,
-            "due": self.due,
-            "room": self.room,
-            "open": self.open,
-            "want": [list(pair) for pair in self.want],
-            "outcomes": [[*one.pair, one.state] for one in self.outcomes],
-            "leave": self.leave,
-        }
-
-    @classmethod
-    def read(cls, note: Mapping[str, Any], capacity: tuple[int, int]) -> Saying:
-        """Read the peer's note; its pairs become (own slot, peer's slot) of this side.
+    def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
+        """Take up what a new connection brings: slots that were filled, results that were missed.
 
         Args:
-            note: Anything.
-            capacity: Slots of this side and of the peer.
-
-        Raises:
-            ProtocolViolation: if it is no such note.
+            session: The gallery, connected.
+            waiting: What the session brings of itself.
         """
-        if set(note) != _KEYS:
-            raise ProtocolViolation(_MALFORMED)
-        numbers = all(type(note[name]) is int and 0 <= note[name] <= 1 << 32 for name in _NUMBERS)
-        if not numbers or type(note["open"]) is not bool or type(note["leave"]) is not bool:
-            raise ProtocolViolation(_MALFORMED)
-        outcomes = []
-        for entry in _entries(note["outcomes"], MOST_OUTCOMES, 3):
-            if entry[2] not in _STATES:
-                raise ProtocolViolation(_MALFORMED)
-            outcomes.append(Outcome(_pair(entry[:2], capacity), entry[2]))
-        want = [_pair(entry, capacity) for entry in _entries(note["want"], MOST_PAIRS, 2)]
-        return cls(note["new"], note["due"], note["room"], note["open"], want, outcomes, note["leave"])
+        self._waiting, self._compared = waiting, 0
+        self._ask_from = self._bring_from = 0.0
+        self._capacity, self._known = session.capacity, self._slots.known()
+        self._reconcile(session)
+        self._find(list(session.results()))
+        self._true = self._matches.pairs()
+        self._judge()
 
+    def take(self, session: GallerySession) -> bool:
+        """One turn; returns False when one of the two has ended."""
+        saying = self._saying(session)
+        heard = Saying.read(session.exchange_note(saying.as_json()), self._capacity)
+        self._matches.told(saying.outcomes)
+        self._matches.hear(heard.outcomes)
+        if saying.leave or heard.leave:
+            return False
+        wanted = list(dict.fromkeys((*saying.want, *heard.want)))
+        mine, theirs = min(saying.new, heard.room, TOGETHER), min(heard.new, saying.room, TOGETHER)
+        # What is in slots already is brought first, and all of it.
+        can = saying.due <= heard.room and heard.due <= saying.room
+        if wanted:
+            self._show(session, sorted(wanted, key=lambda pair: pair[:: 1 - 2 * session.party]))
+        elif can and (mine or theirs or saying.open or heard.open):
+            self._compare(session, mine, theirs)
+        else:
+            self._bring_from = time.monotonic() + _AGAIN
+        return True
 
-def read_slots(slots: object, most: int, capacity: int) -> list[int]:
-    """Read ascending slots of a peer's note.
+    def pause(self, longest: float) -> float:
+        """Seconds that may pass before the next turn, if nothing happens."""
+        if self._matches.untold(1):
+            return 0.0
+        due = [time.monotonic() + longest]
+        if self._matches.unshown():
+            due.append(self._ask_from)
+        if self._allowance.spent or self._slots.waiting(most=1):
+            due.append(self._bring_from)
+        return max(0.0, min(due) - time.monotonic())
 
-    Raises:
-        ProtocolViolation: if they are none.
-    """
-    if (
-        not isinstance(slots, list)
-        or len(slots) > most
-        or not all(type(slot) is int and 0 <= slot < capacity for slot in slots)
-        or sorted(set(slots)) != slots
-    ):
-        raise ProtocolViolation(_MALFORMED)
-    return slots
+    def status(self) -> dict[str, Any]:
+        """Where the gallery stands, JSON-ready."""
+        desk = self._desk
+        return {
+            "keyframes": desk.keyframes.count(self._gallery),
+            "held": self._held[0],
+            "peer_held": self._held[1],
+            "slots_left": self._left,
+            "pairs": self._compared,
+            "matches": self._matches.counts(),
+            "strikes": len(self._peer.strikes.reasons),
+            "settled": self._settled,
+            "budget_spent": self._allowance.spent,
+            "bytes_sent": self._sent,
+            "rounds": self._rounds,
+        }
 
+    @property
+    def _settled(self) -> bool:
+        """Whether all own keyframes are in slots, all filled slots compared, and all matches settled."""
+        return not (self._open or self._slots.waiting(most=1) or self._matches.outstanding)
 
-_MALFORMED = "the peer's agent sent a malformed note: install the same release on both robots"
+    # -- a turn --------------------------------------------------------------------------------------
 
+    def _saying(self, session: GallerySession) -> Saying:
+        want, outcomes = self._wanted(), self._matches.untold(MOST_OUTCOMES)
+        fresh = len(self._slots.waiting(map(digest_of, self._waiting), TOGETHER))
+        self._left, self._open = session.room, session.unfinished
+        if fresh > self._left and not self._full:
+            self._full = True
+            self._tell(
+                "slots", f"no slots are left for keyframes to be compared with {self._peer.name}: deal more"
+            )
+        due, waiting = session.due, len(self._waiting) + min(fresh, self._left)
+        brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *self._held)
+        leaves = self._desk.stop.is_set() or self._allowance.struck
+        return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves)
 
-def _entries(value: object, most: int, length: int) -> list[list[Any]]:
-    if not isinstance(value, list) or len(value) > most:
-        raise ProtocolViolation(_MALFORMED)
-    if not all(isinstance(entry, list) and len(entry) == length for entry in value):
-        raise ProtocolViolation(_MALFORMED)
-    return value
+    def _compare(self, session: GallerySession, mine: int, theirs: int) -> None:
+        """One step of the gallery, with so many descriptors of either side."""
+        mine -= session.due
+        later = self._waiting[mine:]
+        del self._waiting[mine:]
+        if missing := mine - len(self._waiting):
+            besides = map(digest_of, self._waiting)
+            fresh = self._slots.waiting(besides, missing)
+            session.add(np.array([one.vector for one in fresh]).reshape(len(fresh), self._terms.dim))
+        step = Step()
+        try:
+            session.step(lambda block: self._block(session, block), into=step, accept=theirs)
+        finally:
+            self._waiting += later
+        self._reconcile(session)
+        self._sent += step.stats.bytes_sent
+        self._rounds += step.stats.rounds
 
+    def _block(self, session: GallerySession, block: Block) -> None:
+        self._reconcile(session)
+        self._peer.pairs.spend(block.results.size)
+        self._find([block])
 
-def _pair(entry: Sequence[Any], capacity: tuple[int, int]) -> Pair:
-    theirs, mine = entry
-    if not all(type(slot) is int for slot in entry) or not (
-        0 <= mine < capacity[0] and 0 <= theirs < capacity[1]
-    ):
-        raise ProtocolViolation(_MALFORMED)
-    return mine, theirs
+    def _find(self, blocks: Sequence[Block]) -> None:
+        """Keep and tell what is True in some results."""
+        self._compared += sum(block.results.size for block in blocks)
+        pairs = Step(blocks=list(blocks)).matches
+        news = self._matches.found(pairs) if pairs else []
+        self._true.update(pairs)
+        self._peer.matches.spend(len(news))
+        for one in news:
+            self._desk.hub.tell(Event.of(one))
+        if news:
+            self._judge()  # both halves may have been shown for other matches
+
+    def _reconcile(self, session: GallerySession) -> None:
+        """Find out which keyframes are in which slots, by what the ledger holds."""
+        filled = session.filled
+        new = [slot for slot in filled if slot not in self._known]
+        lost = set(self._known) - set(filled)
+        if new or lost:
+            digests = [digest_of(raw) for raw in session.plain(new)]
+            self._slots.place(dict(zip(new, digests, strict=True)), lost)
+            self._known = self._slots.known()
+        self._held = [len(filled), len(session.peer_filled)]
+
+    # -- matches -------------------------------------------------------------------------------------
+
+    def _wanted(self) -> list[Pair]:
+        """Matches to be shown now; those that the peer has withheld for too long are given up."""
+        now, want = time.monotonic(), []
+        unshown = self._matches.unshown()
+        for pair in unshown:
+            if now - self._asked.setdefault(pair, now) > self._desk.grace:
+                why = f"{self._peer.name} has not shown its keyframe for {self._desk.grace:g} s"
+                if (news := self._matches.withhold(pair, why)) is not None:
+                    self._desk.hub.tell(Event.of(news))
+        self._asked = {pair: when for pair, when in self._asked.items() if pair in unshown}
+        if now >= self._ask_from:
+            want = unshown[:MOST_PAIRS]
+        return want
+
+    def _show(self, session: GallerySession, wanted: list[Pair]) -> None:
+        """Show each other what is wanted and found True here, as far as the peer is trusted with it."""
+        matches = self._matches
+        self._ask_from = time.monotonic() + _AGAIN  # unless the peer shows something
+        true = [pair for pair in wanted if pair in self._true and self._known.get(pair[0]) is not None]
+        trusted = matches.trust(true, self._desk.strikes)
+        seen = matches.shown([slot for _, slot in wanted])
+        shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity)
+        if shown:
+            matches.show(shown.items())
+            self._ask_from = 0.0
+            self._judge()
+
+    def _own_keyframe(self, slot: int) -> Keyframe:
+        number = self._known.get(slot)
+        keyframe = None if number is None else self._desk.keyframes.get(number, self._gallery)
+        if keyframe is None:
+            raise ValueError(f"the keyframe in slot {slot} is not known any more")
+        return keyframe
+
+    def _judge(self) -> None:
+        """Have all matches verified that both sides have shown."""
+        for match, pair, keyframe in self._matches.unverified():
+            own = None if keyframe is None else self._desk.keyframes.get(keyframe, self._gallery)
+            other = self._matches.theirs(pair[1])
+            if own is not None and other is not None:
+                self._verifier.judge(match, Meeting(*self._where, own, other), partial(self._settle, match))
+
+    def _settle(self, match: int, verdict: Verdict) -> None:
+        """Keep and tell a verdict; in the verifier's thread."""
+        self._desk.hub.tell(Event.of(self._matches.settle(match, verdict)))
+        self._wake()
+
+    def _tell(self, name: str, text: str) -> None:
+        self._desk.tell(name, text, *self._where)
