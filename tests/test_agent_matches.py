@@ -39,7 +39,22 @@ def test_a_peer_is_shown_no_more_than_it_may_owe(matches: Matches) -> None:
     assert matches.trust(pairs, 3) == pairs[:3]
     assert matches.trust(pairs[::-1], 3) == pairs[2::-1]  # it took these, and hung up
     matches.show([(1, Keyframe(7, VECTOR))])
+    assert matches.trust(pairs, 3) == pairs[:3]  # what it has shown may be rubbish
+    matches.settle(2, Verdict(True))
     assert matches.trust(pairs, 3) == pairs[:4]
+
+
+def test_strikes_and_what_is_owed_in_any_gallery_count_together(records: Records, matches: Matches) -> None:
+    pairs, camera = [(i, i) for i in range(6)], Matches(records, "bob", "camera")
+    matches.found(pairs)
+    camera.found(pairs)
+    matches.settle(1, Verdict(False, "another place"))
+    assert camera.trust(pairs, 3) == pairs[:2]
+    assert matches.trust(pairs[1:], 3) == []
+    camera.take_back(pairs[:1])
+    assert matches.trust(pairs[1:], 3) == [(1, 1)]
+    Strikes(records, "bob").forgive()
+    assert matches.trust(pairs[1:], 3) == [(1, 1), (2, 2)]
 
 
 def test_trust_is_durable(tmp_path: Path) -> None:

@@ -37,24 +37,34 @@ class Allowance:
         unsettled = len(peer.strikes.reasons) + peer.strikes.outstanding
         return 0 if unsettled >= self._limit or not peer.matches.left else peer.pairs.left
 
-    def shares(self, waiting: int, own: int, theirs: int) -> tuple[int, int]:
+    def holds(self, open_pairs: int) -> bool:
+        """Whether pairs that were allowed once must wait: a step compares all that there are.
+
+        A peer that fills slots and hangs up before they are compared, again and again, saves up nothing.
+        """
+        pairs = self.pairs
+        return open_pairs > 0 and (pairs == 0 or (open_pairs > pairs and not self._peer.pairs.untouched))
+
+    def shares(self, waiting: int, own: int, theirs: int, open_pairs: int = 0) -> tuple[int, int]:
         """How many descriptors this side brings, and how many it takes.
 
         Args:
             waiting: Descriptors that it could bring.
             own: Descriptors that the peer has of it.
             theirs: Descriptors that it has of the peer.
+            open_pairs: Pairs of these that are still to be compared.
 
         Returns:
             Both, such that the pairs that they make with each other and with what is held are allowed; at
             least one where nothing was spent yet: a budget below one descriptor's pairs would stop all.
         """
-        pairs, least = self.pairs, int(self._peer.pairs.untouched)
+        least = int(self._peer.pairs.untouched and not open_pairs)
+        pairs = max(0, self.pairs - open_pairs)
         # n more on both sides make n (own + theirs) + n^2 pairs.
         both = int((math.sqrt((own + theirs) ** 2 + 4 * pairs) - (own + theirs)) / 2)
         brings = min(waiting, max(least, both)) if pairs else 0
         takes = max(least, (pairs - brings * theirs) // max(1, own + brings)) if pairs else 0
-        scarce = waiting and not both and pairs == self._peer.pairs.left
+        scarce = waiting and not both and pairs + open_pairs >= self._peer.pairs.left
         self._note("matches" if not self._peer.matches.left else "pairs" if scarce else "")
         return brings, takes
 

@@ -82,28 +82,34 @@ class Matches:
 
         Args:
             pairs: True pairs, in an order that both sides know.
-            most: How many the peer may owe its half of: whoever takes what it is shown and hangs up, again
-                and again, gets no more than that.
+            most: How many the peer may owe, in all galleries: whoever takes what it is shown and hangs up, or
+                pays with rubbish that is still being verified, gets no more than that.
 
         Returns:
             Those that were shown before, and others as far as there is trust left.
         """
         with self._records.transaction():
-            query = "SELECT slot, peer_slot FROM matches WHERE link = ? AND shown = 1"
-            before = set(self._records.all(query, self._link))
-            left = most - len(before & set(self.unshown()))
-            chosen = []
-            for pair in pairs:
-                if pair not in before:
-                    if left <= 0:
-                        continue
-                    left -= 1
-                    self._records.run(
-                        "UPDATE matches SET shown = 1 WHERE link = ? AND slot = ? AND peer_slot = ?",
-                        *(self._link, *pair),
-                    )
-                chosen.append(pair)
-            return chosen
+            before = self.trusted()
+            fresh = [pair for pair in pairs if pair not in before][: max(0, most - self._strikes.owed)]
+            self._mark(fresh, 1)
+            return [pair for pair in pairs if pair in before or pair in fresh]
+
+    def trusted(self) -> set[Pair]:
+        """Pairs whose own half was shown, or is about to be."""
+        query = "SELECT slot, peer_slot FROM matches WHERE link = ? AND shown = 1"
+        return set(self._records.all(query, self._link))
+
+    def take_back(self, pairs: Iterable[Pair]) -> None:
+        """Forget that pairs were to be shown that were not."""
+        with self._records.transaction():
+            self._mark(pairs, 0)
+
+    def _mark(self, pairs: Iterable[Pair], shown: int) -> None:
+        for pair in pairs:
+            self._records.run(
+                "UPDATE matches SET shown = ? WHERE link = ? AND slot = ? AND peer_slot = ?",
+                *(shown, self._link, *pair),
+            )
 
     def shown(self, slots: Collection[int]) -> set[int]:
         """Those of the peer's slots that it has shown."""

@@ -22,8 +22,9 @@ MOST_OUTCOMES = 64
 """Most verdicts that are told in a turn."""
 
 _NUMBERS = ("new", "due", "room")
+_FLAGS = ("open", "leave", "hold")
 _STATES = ("verified", "rejected")
-_KEYS = {"new", "due", "room", "open", "want", "outcomes", "leave"}
+_KEYS = {"new", "due", "room", "open", "want", "outcomes", "leave", "hold"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,7 @@ class Saying:
         want: Matches (own slot, peer's slot) whose other half it has not seen.
         outcomes: Its verdicts that the peer has perhaps not heard.
         leave: Whether it ends now.
+        hold: Whether nothing is to be compared in this turn: the pairs that wait are more than may be now.
     """
 
     new: int
@@ -47,6 +49,7 @@ class Saying:
     want: Sequence[Pair]
     outcomes: Sequence[Outcome]
     leave: bool
+    hold: bool
 
     def as_json(self) -> dict[str, Json]:
         """As it is sent."""
@@ -58,6 +61,7 @@ class Saying:
             "want": [list(pair) for pair in self.want],
             "outcomes": [[*one.pair, one.state] for one in self.outcomes],
             "leave": self.leave,
+            "hold": self.hold,
         }
 
     @classmethod
@@ -74,7 +78,7 @@ class Saying:
         if set(note) != _KEYS:
             raise ProtocolViolation(_MALFORMED)
         numbers = all(type(note[name]) is int and 0 <= note[name] <= 1 << 32 for name in _NUMBERS)
-        if not numbers or type(note["open"]) is not bool or type(note["leave"]) is not bool:
+        if not numbers or any(type(note[name]) is not bool for name in _FLAGS):
             raise ProtocolViolation(_MALFORMED)
         outcomes = []
         for entry in _entries(note["outcomes"], MOST_OUTCOMES, 3):
@@ -82,7 +86,7 @@ class Saying:
                 raise ProtocolViolation(_MALFORMED)
             outcomes.append(Outcome(_pair(entry[:2], capacity), entry[2]))
         want = [_pair(entry, capacity) for entry in _entries(note["want"], MOST_PAIRS, 2)]
-        return cls(note["new"], note["due"], note["room"], note["open"], want, outcomes, note["leave"])
+        return cls(**{**note, "want": want, "outcomes": outcomes})
 
 
 def read_slots(slots: object, most: int, capacity: int) -> list[int]:

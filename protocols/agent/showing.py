@@ -35,6 +35,8 @@ def show(
     seen: Collection[int],
     own: Callable[[int], Keyframe],
     capacity: tuple[int, int],
+    later: bool,
+    agreed: Callable[[Sequence[Pair], bool], None],
 ) -> dict[int, Keyframe]:
     """Run the exchange for some matches; both sides call it with the same pairs.
 
@@ -45,6 +47,9 @@ def show(
         seen: The peer's slots that need not be shown again.
         own: Gives what this side shows of one of its slots.
         capacity: Slots of this side and of the peer.
+        later: Whether this side would show more, and the peer owes it too much for now.
+        agreed: Called, before anything is shown, with the pairs that both sides show their halves of, and
+            whether the peer would show more later.
 
     Returns:
         What the peer has shown, by its slots.
@@ -55,9 +60,9 @@ def show(
     """
     mine = [pair for pair in wanted if pair in trusted]
     lack = sorted({theirs for _, theirs in mine} - set(seen))
-    note: dict[str, Any] = {"true": sorted(_in_order(mine, session.party)), "lack": lack}
+    note: dict[str, Any] = {"true": sorted(_in_order(mine, session.party)), "lack": lack, "later": later}
     answer = session.exchange_note(note)
-    if set(answer) != {"true", "lack"}:
+    if set(answer) != set(note) or type(answer["later"]) is not bool:
         raise ProtocolViolation("the peer's agent sent a malformed note on matches")
     told = answer["true"]
     both = (
@@ -65,6 +70,7 @@ def show(
         if isinstance(told, list)
         else []
     )
+    agreed(both, answer["later"])
     lacking = set(read_slots(answer["lack"], 2 * MOST_PAIRS, capacity[0]))
     showing = sorted({slot for slot, _ in both} & lacking)
     expected = sorted({theirs for _, theirs in both} & set(lack))
@@ -102,7 +108,7 @@ def _unpack(frame: bytes) -> Keyframe:
         good = type(number) is int and 0 <= number <= MAX_ID and set(head) == {"id", "stamp"}
         if not good or not (stamp is None or (type(stamp) in (int, float) and math.isfinite(stamp))):
             raise ValueError
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
         raise ProtocolViolation("the peer shows a keyframe whose description cannot be read") from None
     if len(frame) - 4 - size > MAX_PAYLOAD:
         raise ProtocolViolation("the peer shows a larger payload than there may be")

@@ -34,6 +34,15 @@ class Strikes:
         query = "SELECT count(*) FROM matches JOIN links USING (link) WHERE peer = ? AND state = 'candidate'"
         return int(self._records.all(query, self._peer)[0][0])
 
+    @property
+    def owed(self) -> int:
+        """Its strikes, and matches in all galleries that it was shown a keyframe for and no verdict is on."""
+        query = (
+            "SELECT count(*) FROM matches JOIN links USING (link) "
+            "WHERE peer = ? AND state = 'candidate' AND shown = 1"
+        )
+        return len(self.reasons) + int(self._records.all(query, self._peer)[0][0])
+
     def add(self, why: str, match: int | None = None) -> None:
         """Hold something against it; a match counts once."""
         self._records.run(

@@ -51,12 +51,12 @@ class Turns:
         self._capacity = (0, 0)
         self._known: dict[int, int | None] = {}
         self._true: set[Pair] = set()
-        self._asked: dict[Pair, float] = {}
+        self._asked: dict[Pair, float] = {}  # seconds on connections
         self._held = [0, 0]
         self._left = 0
         self._sent = self._rounds = self._compared = 0
-        self._ask_from = self._bring_from = 0.0  # not before, on the monotonic clock
-        self._full = self._open = False
+        self._ask_from = self._bring_from = self._looked = 0.0  # not before, and when, on the monotonic clock
+        self._full = self._open = self._yields = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
         """Take up what a new connection brings: slots that were filled, results that were missed.
@@ -67,6 +67,7 @@ class Turns:
         """
         self._waiting, self._compared = waiting, 0
         self._ask_from = self._bring_from = 0.0
+        self._looked = time.monotonic()
         self._capacity, self._known = session.capacity, self._slots.known()
         self._reconcile(session)
         self._find(list(session.results()))
@@ -84,7 +85,9 @@ class Turns:
         wanted = list(dict.fromkeys((*saying.want, *heard.want)))
         mine, theirs = min(saying.new, heard.room, TOGETHER), min(heard.new, saying.room, TOGETHER)
         # What is in slots already is brought first, and all of it.
-        can = saying.due <= heard.room and heard.due <= saying.room
+        self._yields = heard.due > saying.room
+        fits = saying.due <= heard.room and not self._yields
+        can = fits and not (saying.hold or heard.hold)
         if wanted:
             self._show(session, sorted(wanted, key=lambda pair: pair[:: 1 - 2 * session.party]))
         elif can and (mine or theirs or saying.open or heard.open):
@@ -137,10 +140,14 @@ class Turns:
             self._tell(
                 "slots", f"no slots are left for keyframes to be compared with {self._peer.name}: deal more"
             )
-        due, waiting = session.due, len(self._waiting) + min(fresh, self._left)
-        brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *self._held)
+        due, pairs = session.due, session.open_pairs
+        # What the peer has in slots already was allowed once: it comes before anything new of either side.
+        waiting = 0 if self._yields else len(self._waiting) + min(fresh, self._left)
+        held = (self._held[0] - due, self._held[1])
+        brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *held, pairs)
         leaves = self._desk.stop.is_set() or self._allowance.struck
-        return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves)
+        hold = self._allowance.holds(pairs)
+        return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves, hold)
 
     def _compare(self, session: GallerySession, mine: int, theirs: int) -> None:
         """One step of the gallery, with so many descriptors of either side."""
@@ -193,13 +200,15 @@ class Turns:
     def _wanted(self) -> list[Pair]:
         """Matches to be shown now; those that the peer has withheld for too long are given up."""
         now, want = time.monotonic(), []
+        passed, self._looked = now - self._looked, now
         unshown = self._matches.unshown()
-        for pair in unshown:
-            if now - self._asked.setdefault(pair, now) > self._desk.grace:
+        # Time without a connection does not count; nobody is ever the further for that (see `Allowance`).
+        self._asked = {pair: self._asked.get(pair, -passed) + passed for pair in unshown}
+        for pair, seconds in self._asked.items():
+            if seconds > self._desk.grace:
                 why = f"{self._peer.name} has not shown its keyframe for {self._desk.grace:g} s"
                 if (news := self._matches.withhold(pair, why)) is not None:
                     self._desk.hub.tell(Event.of(news))
-        self._asked = {pair: when for pair, when in self._asked.items() if pair in unshown}
         if now >= self._ask_from:
             want = unshown[:MOST_PAIRS]
         return want
@@ -209,12 +218,25 @@ class Turns:
         matches = self._matches
         self._ask_from = time.monotonic() + _AGAIN  # unless the peer shows something
         true = [pair for pair in wanted if pair in self._true and self._known.get(pair[0]) is not None]
+        before = matches.trusted()
         trusted = matches.trust(true, self._desk.strikes)
         seen = matches.shown([slot for _, slot in wanted])
-        shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity)
+        promised = set(trusted) - before
+
+        def agreed(pairs: Sequence[Pair], later: bool) -> None:
+            promised.difference_update(pairs)
+            if later:
+                self._asked.clear()
+
+        later = len(trusted) < len(true)
+        try:
+            shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity, later, agreed)
+        finally:
+            matches.take_back(promised)
         if shown:
             matches.show(shown.items())
             self._ask_from = 0.0
+            self._asked.clear()  # one after the other, and each may take as long as a link makes it
             self._judge()
 
     def _own_keyframe(self, slot: int) -> Keyframe:
@@ -227,15 +249,21 @@ class Turns:
     def _judge(self) -> None:
         """Have all matches verified that both sides have shown."""
         for match, pair, keyframe in self._matches.unverified():
-            own = None if keyframe is None else self._desk.keyframes.get(keyframe, self._gallery)
-            other = self._matches.theirs(pair[1])
-            if own is not None and other is not None:
-                self._verifier.judge(match, Meeting(*self._where, own, other), partial(self._settle, match))
+            if keyframe is not None:
+                meet = partial(self._meeting, keyframe, pair[1])
+                self._verifier.judge(match, meet, partial(self._settle, match))
+
+    def _meeting(self, keyframe: int, slot: int) -> Meeting | None:
+        """What a verification sees; in the verifier's thread."""
+        own, other = self._desk.keyframes.get(keyframe, self._gallery), self._matches.theirs(slot)
+        return None if own is None or other is None else Meeting(*self._where, own, other)
 
     def _settle(self, match: int, verdict: Verdict) -> None:
         """Keep and tell a verdict; in the verifier's thread."""
-        self._desk.hub.tell(Event.of(self._matches.settle(match, verdict)))
+        news = self._matches.settle(match, verdict)
+        self._ask_from = 0.0  # there may be trust for the next
         self._wake()
+        self._desk.hub.tell(Event.of(news))
 
     def _tell(self, name: str, text: str) -> None:
         self._desk.tell(name, text, *self._where)

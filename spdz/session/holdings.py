@@ -72,6 +72,16 @@ class Holdings(Conversing):
         return bool(self._comparing.again or between(self._ledger.done, (first.filled, second.filled)))
 
     @property
+    def open_pairs(self) -> int:
+        """How many pairs of slots that both sides know wait to be compared."""
+        done = self._ledger.done[self.party], self._ledger.done[1 - self.party]
+        before = [
+            sum(slot < end for slot in held)
+            for held, end in zip((self.filled, self.peer_filled), done, strict=True)
+        ]
+        return (len(self.filled) - self.due) * len(self.peer_filled) - before[0] * before[1]
+
+    @property
     def filled(self) -> list[int]:
         """Own slots that hold a descriptor."""
         return held_slots(self._ledger, self.party)
