@@ -249,10 +249,14 @@ class Turns:
     def _judge(self) -> None:
         """Have all matches verified that both sides have shown."""
         for match, pair, keyframe in self._matches.unverified():
-            own = None if keyframe is None else self._desk.keyframes.get(keyframe, self._gallery)
-            other = self._matches.theirs(pair[1])
-            if own is not None and other is not None:
-                self._verifier.judge(match, Meeting(*self._where, own, other), partial(self._settle, match))
+            if keyframe is not None:
+                meet = partial(self._meeting, keyframe, pair[1])
+                self._verifier.judge(match, meet, partial(self._settle, match))
+
+    def _meeting(self, keyframe: int, slot: int) -> Meeting | None:
+        """What a verification sees; in the verifier's thread."""
+        own, other = self._desk.keyframes.get(keyframe, self._gallery), self._matches.theirs(slot)
+        return None if own is None or other is None else Meeting(*self._where, own, other)
 
     def _settle(self, match: int, verdict: Verdict) -> None:
         """Keep and tell a verdict; in the verifier's thread."""
