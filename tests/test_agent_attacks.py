@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from agent_helpers import bobs, deal, feed, found, places, plan, robots, until
 
-from protocols.agent import Agent, Meeting, Verdict, turn
+from protocols.agent import Agent, Meeting, RecordsError, Verdict, link, showing, turn
 from protocols.agent.allowance import Allowance
-from spdz.foundations.errors import ChannelError
+from protocols.agent.strikes import Strikes
+from spdz.foundations.errors import ChannelError, ProtocolViolation
 from spdz.foundations.types import FloatArray
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
@@ -160,3 +161,63 @@ def test_an_honest_peer_gets_no_strike_for_the_time_without_a_connection(
         with bobs(mission, alice):
             until(lambda: len(found(alice, "verified")) == 4)
             assert not found(alice, "withheld")
+
+
+HEADS = [
+    b'{"id": 1, "stamp": 1' + b"0" * 400 + b"}",
+    b'{"id": 1, "stamp": NaN}',
+    b'{"id": 1' + b"0" * 20 + b', "stamp": 1}',
+    b'{"id": true, "stamp": null}',
+    b'{"id": 1, "stamp": null, "more": 1}',
+    b"[" * 4000,
+    b"[1]",
+    b"\xff",
+    b"",
+]
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_a_keyframe_with_a_strange_head_is_a_violation(head: bytes) -> None:
+    with pytest.raises(ProtocolViolation):
+        showing._unpack(len(head).to_bytes(4, "little") + head)
+
+
+def test_a_full_disk_while_something_is_held_against_a_peer_ends_no_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, full = deal(tmp_path, plan()), threading.Event()
+
+    def refuse(self: Strikes, why: str, match: int | None = None) -> None:
+        full.set()
+        raise RecordsError("the disk is full")
+
+    def cheat(self: turn.Turns, session: Any) -> bool:
+        raise ProtocolViolation("on purpose")
+
+    monkeypatch.setattr(link, "_SLOW", 0.2)
+    monkeypatch.setattr(Strikes, "add", refuse)
+    alice, bob = robots(mission)
+    with alice, bob, monkeypatch.context() as patch:
+        patch.setattr(turn.Turns, "take", cheat)
+        until(full.is_set)
+        time.sleep(0.5)
+        assert all(one._thread.is_alive() for one in alice._links + bob._links)
+
+
+def test_a_peer_that_hangs_up_at_once_is_met_less_and_less_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, met = deal(tmp_path, plan()), list[float]()
+    take = turn.Turns.take
+
+    def leave(self: turn.Turns, session: Any) -> bool:
+        if self._desk.robot == "bob":
+            met.append(time.monotonic())
+            raise ChannelError("on purpose")
+        return take(self, session)
+
+    monkeypatch.setattr(turn.Turns, "take", leave)
+    alice, bob = robots(mission)
+    with alice, bob:
+        until(lambda: len(met) == 5)
+    assert met[4] - met[3] > 2 * (met[1] - met[0])

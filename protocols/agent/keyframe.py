@@ -90,6 +90,14 @@ Verify: TypeAlias = Callable[[Meeting], Verdict]
 """A user's verification: called in a thread of the agent's own, one meeting at a time."""
 
 
+def is_stamp(number: float) -> bool:
+    """Whether a number, perhaps an integer of any size, is a time in seconds."""
+    try:
+        return math.isfinite(number)
+    except OverflowError:
+        return False
+
+
 def check_id(number: object) -> int:
     """Accept a keyframe's number.
 

@@ -13,11 +13,10 @@ the agent's to name (:mod:`protocols.agent.link`).
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
-from protocols.agent.keyframe import MAX_ID, Keyframe
+from protocols.agent.keyframe import MAX_ID, Keyframe, is_stamp
 from protocols.agent.matches import Pair
 from protocols.agent.turns import MOST_PAIRS, read_slots
 from spdz.foundations.errors import ProtocolViolation
@@ -106,9 +105,9 @@ def _unpack(frame: bytes) -> Keyframe:
         head = json.loads(frame[4 : 4 + size])
         number, stamp = head["id"], head["stamp"]
         good = type(number) is int and 0 <= number <= MAX_ID and set(head) == {"id", "stamp"}
-        if not good or not (stamp is None or (type(stamp) in (int, float) and math.isfinite(stamp))):
+        if not good or not (stamp is None or (type(stamp) in (int, float) and is_stamp(stamp))):
             raise ValueError
-    except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise ProtocolViolation("the peer shows a keyframe whose description cannot be read") from None
     if len(frame) - 4 - size > MAX_PAYLOAD:
         raise ProtocolViolation("the peer shows a larger payload than there may be")
