@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from agent_helpers import bobs, deal, feed, found, places, plan, robots, until
 
-from protocols.agent import Agent, Meeting, RecordsError, Verdict, link, showing, turn
+from protocols.agent import Agent, Keyframe, Meeting, RecordsError, Verdict, link, showing, turn
 from protocols.agent.allowance import Allowance
 from protocols.agent.strikes import Strikes
 from spdz.foundations.errors import ChannelError, ProtocolViolation
 from spdz.foundations.types import FloatArray
+from spdz.session import GallerySession
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 
@@ -221,3 +222,43 @@ def test_a_peer_that_hangs_up_at_once_is_met_less_and_less_often(
     with alice, bob:
         until(lambda: len(met) == 5)
     assert met[4] - met[3] > 2 * (met[1] - met[0])
+
+
+def test_a_peer_cannot_pay_with_a_copy_of_what_it_was_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes the other half, hangs up, and comes again with that half and a few points moved."""
+    mission, a = deal(tmp_path, plan()), places(1, 16, seed=1)
+    swap, pack, loot = GallerySession.swap, showing._pack, list[bytes]()
+
+    def take(self: GallerySession, frames: Any, most: int) -> list[bytes]:
+        theirs = swap(self, frames, most)
+        if self._tape.header.name == "bob" and not loot:
+            loot.append(showing._unpack(theirs[0]).payload)
+            raise ChannelError("on purpose")
+        return theirs
+
+    def copy(keyframe: Keyframe) -> bytes:
+        if keyframe.payload.startswith(b"bob") and loot:
+            keyframe = Keyframe(keyframe.id, None, loot[0] + b" moved")
+        return pack(keyframe)
+
+    def lose(self: GallerySession, frames: Any, most: int) -> list[bytes]:
+        if self._tape.header.name == "alice" and not loot:
+            swap(self, frames, most)
+            raise ChannelError("the peer hung up before its last piece")
+        return take(self, frames, most)
+
+    def verify(meeting: Meeting) -> Verdict:
+        return Verdict(meeting.other.payload.startswith(meeting.own.payload), "another place")
+
+    monkeypatch.setattr(GallerySession, "swap", lose)
+    monkeypatch.setattr(showing, "_pack", copy)
+    monkeypatch.setattr(link, "_SLOW", 0.2)
+    alice = Agent(mission / "alice", listen="127.0.0.1:0", verify=verify, state_dir=tmp_path / "a")
+    with alice, bobs(mission, alice) as bob:
+        feed(alice, 0, a)
+        feed(bob, 0, a)
+        until(lambda: found(alice, "verified") or alice.status()["galleries"][0]["strikes"])
+        assert not found(alice, "verified")
+        assert "another keyframe" in alice._links[0]._peer.strikes.reasons[0]
