@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from agent_helpers import bobs, deal, feed, found, places, plan, robots, until
 
-from protocols.agent import Agent, Meeting, Verdict, turns
+from protocols.agent import Agent, Keyframe, Meeting, RecordsError, Verdict, link, showing, turns
 from protocols.agent.allowance import Allowance
-from spdz.foundations.errors import ChannelError
+from protocols.agent.strikes import Strikes
+from spdz.foundations.errors import ChannelError, ProtocolViolation
 from spdz.foundations.types import FloatArray
+from spdz.session import GallerySession
 from spdz.session.agreement import Agreement
 from spdz.session.comparing import Comparing
 
@@ -160,3 +162,103 @@ def test_an_honest_peer_gets_no_strike_for_the_time_without_a_connection(
         with bobs(mission, alice):
             until(lambda: len(found(alice, "verified")) == 4)
             assert not found(alice, "withheld")
+
+
+HEADS = [
+    b'{"id": 1, "stamp": 1' + b"0" * 400 + b"}",
+    b'{"id": 1, "stamp": NaN}',
+    b'{"id": 1' + b"0" * 20 + b', "stamp": 1}',
+    b'{"id": true, "stamp": null}',
+    b'{"id": 1, "stamp": null, "more": 1}',
+    b"[" * 4000,
+    b"[1]",
+    b"\xff",
+    b"",
+]
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_a_keyframe_with_a_strange_head_is_a_violation(head: bytes) -> None:
+    with pytest.raises(ProtocolViolation):
+        showing._unpack(len(head).to_bytes(4, "little") + head)
+
+
+def test_a_full_disk_while_something_is_held_against_a_peer_ends_no_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, full = deal(tmp_path, plan()), threading.Event()
+
+    def refuse(self: Strikes, why: str, match: int | None = None) -> None:
+        full.set()
+        raise RecordsError("the disk is full")
+
+    def cheat(self: turns.Turns, session: Any) -> bool:
+        raise ProtocolViolation("on purpose")
+
+    monkeypatch.setattr(link, "_SLOW", 0.2)
+    monkeypatch.setattr(Strikes, "add", refuse)
+    alice, bob = robots(mission)
+    with alice, bob, monkeypatch.context() as patch:
+        patch.setattr(turns.Turns, "take", cheat)
+        until(full.is_set)
+        time.sleep(0.5)
+        assert all(one._thread.is_alive() for one in alice._links + bob._links)
+
+
+def test_a_peer_that_hangs_up_at_once_is_met_less_and_less_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, met = deal(tmp_path, plan()), list[float]()
+    take = turns.Turns.take
+
+    def leave(self: turns.Turns, session: Any) -> bool:
+        if self._desk.robot == "bob":
+            met.append(time.monotonic())
+            raise ChannelError("on purpose")
+        return take(self, session)
+
+    monkeypatch.setattr(turns.Turns, "take", leave)
+    alice, bob = robots(mission)
+    with alice, bob:
+        until(lambda: len(met) == 5)
+    assert met[4] - met[3] > 2 * (met[1] - met[0])
+
+
+def test_a_peer_cannot_pay_with_a_copy_of_what_it_was_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes the other half, hangs up, and comes again with that half and a few points moved."""
+    mission, a = deal(tmp_path, plan()), places(1, 16, seed=1)
+    swap, pack, loot = GallerySession.swap, showing._pack, list[bytes]()
+
+    def take(self: GallerySession, frames: Any, most: int) -> list[bytes]:
+        theirs = swap(self, frames, most)
+        if self._tape.header.name == "bob" and not loot:
+            loot.append(showing._unpack(theirs[0]).payload)
+            raise ChannelError("on purpose")
+        return theirs
+
+    def copy(keyframe: Keyframe) -> bytes:
+        if keyframe.payload.startswith(b"bob") and loot:
+            keyframe = Keyframe(keyframe.id, None, loot[0] + b" moved")
+        return pack(keyframe)
+
+    def lose(self: GallerySession, frames: Any, most: int) -> list[bytes]:
+        if self._tape.header.name == "alice" and not loot:
+            swap(self, frames, most)
+            raise ChannelError("the peer hung up before its last piece")
+        return take(self, frames, most)
+
+    def verify(meeting: Meeting) -> Verdict:
+        return Verdict(meeting.other.payload.startswith(meeting.own.payload), "another place")
+
+    monkeypatch.setattr(GallerySession, "swap", lose)
+    monkeypatch.setattr(showing, "_pack", copy)
+    monkeypatch.setattr(link, "_SLOW", 0.2)
+    alice = Agent(mission / "alice", listen="127.0.0.1:0", verify=verify, state_dir=tmp_path / "a")
+    with alice, bobs(mission, alice) as bob:
+        feed(alice, 0, a)
+        feed(bob, 0, a)
+        until(lambda: found(alice, "verified") or alice.status()["galleries"][0]["strikes"])
+        assert not found(alice, "verified")
+        assert "another keyframe" in alice._links[0]._peer.strikes.reasons[0]

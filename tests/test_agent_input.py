@@ -5,6 +5,7 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ def test_a_line_is_read() -> None:
         (line(payload=7), "keyframe 3: its payload is not base64"),
         (line(stamp="noon"), "keyframe 3: its stamp"),
         (line(stamp=float("nan")), "keyframe 3: its stamp"),
+        (line(stamp=10**400), "keyframe 3: its stamp"),
     ],
 )
 def test_a_bad_line_is_refused_by_name(text: str, message: str) -> None:
@@ -120,3 +122,15 @@ def test_a_folder_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
     (tmp_path / "later").mkdir()
     np.save(tmp_path / "later" / "5.npy", np.ones(2))
     assert watched.watch.look() == 1
+
+
+@pytest.mark.parametrize("stamp", [np.zeros(2), np.array("noon"), np.zeros(0)])
+def test_a_file_whose_stamp_is_none_is_left_out_and_the_next_is_taken(
+    tmp_path: Path, stamp: np.ndarray[Any, Any]
+) -> None:
+    np.savez(tmp_path / "1.npz", lidar=np.ones(2), stamp=stamp)
+    np.savez(tmp_path / "2.npz", lidar=np.ones(2), stamp=np.array([2.5]))
+    watched = Watched(tmp_path)
+    watched.watch.look()
+    assert [(given.keyframe, given.stamp) for given in watched.taken] == [(2, 2.5)]
+    assert watched.refused == ["1.npz is left out: its stamp is not one number"]

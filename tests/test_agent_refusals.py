@@ -33,6 +33,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"payload": b"x" * ((8 << 20) + 1)}, "a payload is at most 8 MiB"),
     ({"payload": "text"}, "a payload is at most 8 MiB of bytes"),
     ({"stamp": np.nan}, "stamp"),
+    ({"stamp": 10**400}, "stamp"),
 ]
 
 

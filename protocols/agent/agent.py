@@ -15,7 +15,7 @@ import numpy.typing as npt
 from protocols.agent.budgets import Rate
 from protocols.agent.desk import Desk, Peer
 from protocols.agent.events import Event, Hub, Match
-from protocols.agent.keyframe import Keyframe, Verify, check_id
+from protocols.agent.keyframe import Keyframe, Verify, check_id, is_stamp
 from protocols.agent.keyframes import Described, Keyframes
 from protocols.agent.link import Link
 from protocols.agent.news import News
@@ -188,7 +188,7 @@ class Agent:
         check_id(keyframe)
         if not isinstance(payload, (bytes, bytearray, memoryview)) or len(payload) > MAX_PAYLOAD:
             raise ValueError(f"keyframe {keyframe}: a payload is at most {MAX_PAYLOAD >> 20} MiB of bytes")
-        if stamp is not None and not math.isfinite(stamp):
+        if stamp is not None and not is_stamp(stamp):
             raise ValueError(f"keyframe {keyframe}: its stamp is not finite")
         try:
             described = self._described(descriptors)

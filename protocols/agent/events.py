@@ -6,6 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -91,8 +92,8 @@ class Hub:
     """Hands events on: to a callback at once, and to readers in order.
 
     Args:
-        on_event: Called with every event, by whichever thread it happens in; its errors are the caller's bug
-            and end nothing but the call.
+        on_event: Called with every event, by whichever thread it happens in. What it raises is not told
+            and ends nothing.
     """
 
     def __init__(self, on_event: Callable[[Event], None] | None = None) -> None:
@@ -107,7 +108,8 @@ class Hub:
             self._waiting.append(event)
             self._changed.notify_all()
         if self._on_event is not None:
-            self._on_event(event)
+            with suppress(Exception):
+                self._on_event(event)
 
     def end(self) -> None:
         """Let readers end when they have read what is there."""

@@ -126,12 +126,14 @@ def read_file(path: Path, descriptor: str | None) -> list[Given]:
     payload, stamp = arrays.pop("payload", None), arrays.pop("stamp", None)
     if any(array.dtype.kind not in "if" for array in arrays.values()):
         raise ValueError("its descriptors are not numbers")
+    if stamp is not None and (stamp.size != 1 or stamp.dtype.kind not in "iuf"):
+        raise ValueError("its stamp is not one number")
     return [
         Given(
             int(number[1]),
             {str(name): array.astype(np.float64) for name, array in arrays.items()},
             b"" if payload is None else payload.astype(np.uint8).tobytes(),
-            None if stamp is None else float(stamp),
+            None if stamp is None else float(stamp.reshape(())),
         )
     ]
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from spdz.channels.telling import printable
 from spdz.foundations.types import FloatArray
 
 MAX_ID = (1 << 53) - 1
@@ -60,7 +61,7 @@ class Verdict:
         weight: How sure it is, or whatever a back end takes as a weight.
 
     Raises:
-        ValueError: for numbers that are not finite.
+        ValueError: for numbers that are not finite, or anything else that is none of these.
     """
 
     accepted: bool
@@ -69,13 +70,32 @@ class Verdict:
     weight: float | None = None
 
     def __post_init__(self) -> None:
-        numbers = (*(self.transform or ()), *(() if self.weight is None else (self.weight,)))
+        try:
+            accepted = bool(self.accepted)
+            transform = None if self.transform is None else tuple(float(number) for number in self.transform)
+            weight = None if self.weight is None else float(self.weight)
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError("a verdict is True or False, with a transform and a weight of numbers") from None
+        numbers = (*(transform or ()), *(() if weight is None else (weight,)))
         if not all(math.isfinite(number) for number in numbers):
             raise ValueError("a verdict's transform and weight are finite numbers")
+        if not isinstance(self.why, str):
+            raise ValueError("a verdict says why in a text")
+        fields = {"accepted": accepted, "why": printable(self.why), "transform": transform, "weight": weight}
+        for name, value in fields.items():  # NumPy's numbers, say: what is kept is Python's
+            object.__setattr__(self, name, value)
 
 
 Verify: TypeAlias = Callable[[Meeting], Verdict]
 """A user's verification: called in a thread of the agent's own, one meeting at a time."""
+
+
+def is_stamp(number: float) -> bool:
+    """Whether a number, perhaps an integer of any size, is a time in seconds."""
+    try:
+        return math.isfinite(number)
+    except OverflowError:
+        return False
 
 
 def check_id(number: object) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from protocols.agent.keyframe import check_id
+from protocols.agent.keyframe import check_id, is_stamp
 from spdz.foundations.types import FloatArray
 
 _FIELDS = ("keyframe", "descriptors", "payload", "stamp")
@@ -102,6 +101,6 @@ def _payload(value: Any) -> bytes:
 def _stamp(value: Any) -> float | None:
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not is_stamp(value):
         raise ValueError("its stamp is not a number of seconds")
     return float(value)

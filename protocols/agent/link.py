@@ -31,7 +31,7 @@ from spdz.session import open_gallery
 from spdz.tape.header import Header
 
 _SHORTEST, _LONGEST = 0.1, 5.0
-"""Seconds before another try to connect, doubled while tries bring nothing."""
+"""Seconds before another try to connect, doubled while tries bring nothing that lasts."""
 _SLOW = 10.0
 """Seconds before another try where somebody has to do something first."""
 HEARTBEAT = 10.0
@@ -81,6 +81,7 @@ class Link:
         self._turns = Turns(desk, peer, gallery, terms, verifier, self._wake.set)
         self._teller = Teller(lambda text: self._tell("waiting", text))
         self._state, self._why = "waiting", f"{peer.name} has not been reached yet"
+        self._pause = _SHORTEST
         self._thread = threading.Thread(target=self._run, name=f"spdz {peer.name} {gallery}", daemon=True)
 
     def start(self) -> None:
@@ -113,33 +114,43 @@ class Link:
     # -- its thread ----------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        pause = _SHORTEST
         while not self._desk.stop.is_set():
             try:
-                if self._resting():
-                    continue
-                met = self._once()
-                pause = _SHORTEST if met else min(2 * pause, _LONGEST)
-                self._desk.stop.wait(pause)
-            except MacCheckFailed as error:
-                self._hold_against(error, "destroyed", "cheated")
+                pause = self._attempt()
+            except Exception as error:  # what was to be held against the peer cannot be written, say
+                self._note("waiting", "records" if isinstance(error, RecordsError) else "bug", error)
+                pause = _SLOW
+            if pause is None:
                 return
-            except TapeDestroyed as error:
-                self._note("destroyed", "destroyed", error)
-                return
-            except (TapeInUse, OSError) as error:
-                name = "records" if isinstance(error, RecordsError) else "system"
-                self._note("waiting", name, error)
-                self._desk.stop.wait(_SLOW)
-            except ProtocolViolation as error:
-                self._hold_against(error, "refused", "violation")
-                self._desk.stop.wait(_SLOW)
-            except (SpdzError, ValueError) as error:
-                self._note("refused", "refused", error)
-                self._desk.stop.wait(_SLOW)
-            except Exception as error:
-                self._note("refused", "bug", error)
-                self._desk.stop.wait(_SLOW)
+            self._desk.stop.wait(pause)
+
+    def _attempt(self) -> float | None:
+        """One connection, if there may be one; returns seconds until the next, None if there will be none."""
+        try:
+            if self._resting():
+                return 0.0
+            began = time.monotonic()
+            met = self._once()
+            # To connect costs work: who is met, and at once lost, again and again, is met less often.
+            lasted = met and time.monotonic() - began > _LONGEST
+            self._pause = _SHORTEST if lasted else min(2 * self._pause, _LONGEST)
+            return self._pause
+        except MacCheckFailed as error:
+            self._hold_against(error, "destroyed", "cheated")
+            return None
+        except TapeDestroyed as error:
+            self._note("destroyed", "destroyed", error)
+            return None
+        except (TapeInUse, OSError) as error:
+            name = "records" if isinstance(error, RecordsError) else "system"
+            self._note("waiting", name, error)
+        except ProtocolViolation as error:
+            self._hold_against(error, "refused", "violation")
+        except (SpdzError, ValueError) as error:
+            self._note("refused", "refused", error)
+        except Exception as error:
+            self._note("refused", "bug", error)
+        return _SLOW
 
     def _once(self) -> bool:
         """One connection; returns whether the peer was met."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from protocols.agent.keyframe import Keyframe, Verdict
 from protocols.agent.news import News
 from protocols.agent.records import Records
 from protocols.agent.strikes import Strikes
+from spdz.foundations.errors import ProtocolViolation
 
 Pair = tuple[int, int]
 """Own slot, the peer's slot."""
@@ -110,6 +111,25 @@ class Matches:
                 "UPDATE matches SET shown = ? WHERE link = ? AND slot = ? AND peer_slot = ?",
                 *(shown, self._link, *pair),
             )
+
+    def promised(self, digests: Mapping[int, str]) -> None:
+        """Keep what the peer says it will show of its slots, once for ever.
+
+        Otherwise it could take this side's half, hang up, and show a copy of that with a few points moved.
+
+        Raises:
+            ProtocolViolation: if it has said anything else before.
+        """
+        with self._records.transaction():
+            for slot, digest in digests.items():
+                where = (self._link, slot)
+                self._records.run("INSERT OR IGNORE INTO promised VALUES (?, ?, ?)", *where, digest)
+                query = "SELECT digest FROM promised WHERE link = ? AND slot = ?"
+                if self._records.all(query, *where) != [(digest,)]:
+                    raise ProtocolViolation(
+                        f"the peer would show another keyframe of slot {slot} than before it had seen "
+                        "this side's half"
+                    )
 
     def shown(self, slots: Collection[int]) -> set[int]:
         """Those of the peer's slots that it has shown."""

@@ -7,6 +7,7 @@
     links       a peer and a gallery
     slots       link, own slot: the keyframe in it
     matches     link, own slot, the peer's slot: keyframe, state, verdicts
+    promised    link, the peer's slot: a digest of what the peer will show of it
     opened      link, the peer's slot: what the peer has shown of it, kept as evidence
     news        number: a match and the state that it reached
     strikes     peer, match, why, when
@@ -51,6 +52,9 @@ CREATE TABLE matches (
     transform TEXT, weight REAL, peer_state TEXT, told INTEGER NOT NULL DEFAULT 0,
     shown INTEGER NOT NULL DEFAULT 0,
     UNIQUE (link, slot, peer_slot)
+);
+CREATE TABLE promised (
+    link INTEGER NOT NULL, slot INTEGER NOT NULL, digest TEXT NOT NULL, PRIMARY KEY (link, slot)
 );
 CREATE TABLE opened (
     link INTEGER NOT NULL, slot INTEGER NOT NULL, keyframe INTEGER, stamp REAL, vector BLOB NOT NULL,

@@ -2,9 +2,10 @@
 
 1. Both say which of the wanted pairs are True in their *own* durable results and will be shown, and which of
    the peer's slots they have not seen. Nothing is shown on the peer's word.
-2. Both open the descriptors under MAC (:meth:`spdz.session.GallerySession.reveal`): what comes is the very
+2. Both promise, by a digest, what they will show: who has seen the other's half cannot make its own of it.
+3. Both open the descriptors under MAC (:meth:`spdz.session.GallerySession.reveal`): what comes is the very
    vector that was compared.
-3. Then the payloads, over the same TLS session, to this peer alone.
+4. Then the payloads, over the same TLS session, to this peer alone.
 
 Neither side can be held to be as good as the other: who sends second can stop. A half that does not come is
 the agent's to name (:mod:`protocols.agent.link`).
@@ -12,12 +13,12 @@ the agent's to name (:mod:`protocols.agent.link`).
 
 from __future__ import annotations
 
+import hashlib
 import json
-import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from protocols.agent.keyframe import MAX_ID, Keyframe
+from protocols.agent.keyframe import MAX_ID, Keyframe, is_stamp
 from protocols.agent.matches import Pair
 from protocols.agent.saying import MOST_PAIRS, read_slots
 from spdz.foundations.errors import ProtocolViolation
@@ -37,6 +38,7 @@ def show(
     capacity: tuple[int, int],
     later: bool,
     agreed: Callable[[Sequence[Pair], bool], None],
+    promised: Callable[[Mapping[int, str]], None],
 ) -> dict[int, Keyframe]:
     """Run the exchange for some matches; both sides call it with the same pairs.
 
@@ -50,6 +52,8 @@ def show(
         later: Whether this side would show more, and the peer owes it too much for now.
         agreed: Called, before anything is shown, with the pairs that both sides show their halves of, and
             whether the peer would show more later.
+        promised: Called, before anything is shown, with digests of what the peer shows, by its slots; raises
+            :class:`ProtocolViolation` if it has promised anything else before.
 
     Returns:
         What the peer has shown, by its slots.
@@ -76,10 +80,17 @@ def show(
     expected = sorted({theirs for _, theirs in both} & set(lack))
     if not showing and not expected:
         return {}
+    packed = [_pack(own(slot)) for slot in showing]
+    digests = [_digest(session.party, slot, frame) for slot, frame in zip(showing, packed, strict=True)]
+    promises = _read_promises(session.exchange_note({"sha256": list(digests)}), expected)
+    promised(promises)
     vectors = session.reveal(showing, expected)
-    frames = session.swap([_pack(own(slot)) for slot in showing], most=len(expected) * (MAX_PAYLOAD + _HEAD))
+    frames = session.swap(packed, most=len(expected) * (MAX_PAYLOAD + _HEAD))
     if len(frames) != len(expected):
         raise ProtocolViolation(f"the peer shows {len(frames)} keyframes instead of {len(expected)}")
+    for slot, frame in zip(expected, frames, strict=True):
+        if _digest(1 - session.party, slot, frame) != promises[slot]:
+            raise ProtocolViolation("the peer shows another keyframe than it has promised")
     shown = {slot: _unpack(frame) for slot, frame in zip(expected, frames, strict=True)}
     return {slot: Keyframe(one.id, vectors[slot], one.payload, one.stamp) for slot, one in shown.items()}
 
@@ -91,6 +102,21 @@ def _in_order(pairs: Sequence[Pair], party: int) -> list[list[int]]:
 
 def _ordered(pair: Pair, party: int) -> Pair:
     return pair if party == 0 else (pair[1], pair[0])
+
+
+def _digest(party: int, slot: int, frame: bytes) -> str:
+    """What a side promises before it sees the other's half; it cannot give the other's promise back."""
+    label = f"spdz keyframe of party {party} slot {slot}: ".encode()
+    return hashlib.sha256(label + hashlib.sha256(frame).digest()).hexdigest()
+
+
+def _read_promises(note: Mapping[str, Any], expected: Sequence[int]) -> dict[int, str]:
+    digests = note["sha256"] if set(note) == {"sha256"} else None
+    if not isinstance(digests, list) or len(digests) != len(expected):
+        raise ProtocolViolation("the peer's agent sent a malformed note on what it shows")
+    if not all(isinstance(one, str) and len(one) == 64 for one in digests):
+        raise ProtocolViolation("the peer's agent sent a malformed note on what it shows")
+    return dict(zip(expected, digests, strict=True))
 
 
 def _pack(keyframe: Keyframe) -> bytes:
@@ -106,9 +132,9 @@ def _unpack(frame: bytes) -> Keyframe:
         head = json.loads(frame[4 : 4 + size])
         number, stamp = head["id"], head["stamp"]
         good = type(number) is int and 0 <= number <= MAX_ID and set(head) == {"id", "stamp"}
-        if not good or not (stamp is None or (type(stamp) in (int, float) and math.isfinite(stamp))):
+        if not good or not (stamp is None or (type(stamp) in (int, float) and is_stamp(stamp))):
             raise ValueError
-    except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
+    except (ValueError, TypeError, KeyError, RecursionError):
         raise ProtocolViolation("the peer shows a keyframe whose description cannot be read") from None
     if len(frame) - 4 - size > MAX_PAYLOAD:
         raise ProtocolViolation("the peer shows a larger payload than there may be")

@@ -230,7 +230,17 @@ class Turns:
 
         later = len(trusted) < len(true)
         try:
-            shown = show(session, wanted, trusted, seen, self._own_keyframe, self._capacity, later, agreed)
+            shown = show(
+                session,
+                wanted,
+                trusted,
+                seen,
+                self._own_keyframe,
+                self._capacity,
+                later,
+                agreed,
+                matches.promised,
+            )
         finally:
             matches.take_back(promised)
         if shown:

@@ -9,9 +9,11 @@ from typing import TypeAlias
 
 from protocols.agent.desk import Desk
 from protocols.agent.keyframe import Meeting, Verdict
+from spdz.channels.telling import printable
 
+Meet: TypeAlias = Callable[[], "Meeting | None"]
 Settle: TypeAlias = Callable[[Verdict], None]
-_Case: TypeAlias = tuple[int, Meeting, Settle]
+_Case: TypeAlias = tuple[int, Meet, Settle]
 
 
 class Verifier:
@@ -28,17 +30,17 @@ class Verifier:
         self._thread = threading.Thread(target=self._run, name="spdz verifier", daemon=True)
         self._thread.start()
 
-    def judge(self, match: int, meeting: Meeting, settle: Settle) -> None:
+    def judge(self, match: int, meet: Meet, settle: Settle) -> None:
         """Have a match verified, unless it is being verified already.
 
         Args:
             match: Its number.
-            meeting: What the verification sees.
+            meet: Gives what the verification sees, when it does: payloads are large, and many may wait.
             settle: Takes the verdict, in this thread.
         """
         if match not in self._known:
             self._known.add(match)
-            self._waiting.put((match, meeting, settle))
+            self._waiting.put((match, meet, settle))
 
     def close(self, seconds: float) -> None:
         """End after the verification under way, or leave it behind after some seconds."""
@@ -47,11 +49,12 @@ class Verifier:
 
     def _run(self) -> None:
         while (entry := self._waiting.get()) is not None and not self._desk.stop.is_set():
-            match, meeting, settle = entry
+            match, meet, settle = entry
             try:
-                settle(self._verdict(meeting))
-            except OSError as error:  # it is judged again on the next connection
-                self._desk.tell("records", f"a verdict is lost: {error}", meeting.peer, meeting.gallery)
+                if (meeting := meet()) is not None:
+                    settle(self._verdict(meeting))
+            except Exception as error:  # it is judged again on the next connection, and the others go on
+                self._desk.tell("records", f"a verdict on match {match} is lost: {error}")
                 self._known.discard(match)
 
     def _verdict(self, meeting: Meeting) -> Verdict:
@@ -63,7 +66,7 @@ class Verifier:
             if not isinstance(verdict, Verdict):
                 raise TypeError(f"it returned {type(verdict).__name__}, not a Verdict")
         except Exception as error:  # the peer's payload can be anything, and the agent goes on
-            why = f"the verification failed: {type(error).__name__}: {error}"
+            why = printable(f"the verification failed: {type(error).__name__}: {error}"[:200])
             self._desk.tell("verification", why, meeting.peer, meeting.gallery, keyframe=meeting.own.id)
-            return Verdict(False, why[:200])
+            return Verdict(False, why)
         return verdict
