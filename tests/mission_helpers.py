@@ -2,6 +2,7 @@
 
 import os
 import stat
+import signal
 import subprocess
 import sys
 import textwrap
@@ -132,5 +133,13 @@ def run_python(code, *words, **options):
     environment = os.environ | {"PYTHONPATH": path, "PYTHONWARNINGS": "error"}
     command = [sys.executable, "-c", textwrap.dedent(code), *map(str, words)]
     return subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+        command,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # ignored where a shell runs us behind
+        **options,
     )

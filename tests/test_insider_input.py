@@ -85,6 +85,8 @@ SAID = {
 
 UNSEEN = ("bits of inputs", "another highest bit")
 """A sign of b bits looks at its input modulo 2^b alone, where this lie is none."""
+SEEN_LATER = ("decided", "another highest bit")
+"""The same of its first comparison. What it then masks of party 0's input is opened and checked; of 1's nothing."""
 
 
 @any_program
@@ -92,8 +94,11 @@ def test_an_insider_that_does_not_stand_by_its_input_is_caught(name):
     job = dealt(name)
     for evil, (i, (how, say)) in product((0, 1), enumerate(SAID.items())):
         lie = element(0, i, lambda own, theirs, e: say(own, job.word_bits))  # noqa: B023
-        if (name, how) == UNSEEN:
+        if (name, how) == UNSEEN or ((name, how) == SEEN_LATER and evil == 1):
             assert np.array_equal(job.duel(evil, lie).value, job.honest.value)
+            continue
+        if (name, how) == SEEN_LATER:
+            assert job.duel(evil, lie).caught
             continue
         assert job.try_lie(evil, 0, lie, what=f"{how}, {i}")
 
