@@ -1,8 +1,8 @@
 """Missions dealt in tests: small plans, what every dealt mission must be, and two robots that meet in one."""
 
 import os
-import stat
 import signal
+import stat
 import subprocess
 import sys
 import textwrap

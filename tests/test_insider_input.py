@@ -86,7 +86,7 @@ SAID = {
 UNSEEN = ("bits of inputs", "another highest bit")
 """A sign of b bits looks at its input modulo 2^b alone, where this lie is none."""
 SEEN_LATER = ("decided", "another highest bit")
-"""The same of its first comparison. What it then masks of party 0's input is opened and checked; of 1's nothing."""
+"""The same of its first comparison; what it then masks of the first input is opened and checked."""
 
 
 @any_program
