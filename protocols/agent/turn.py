@@ -257,11 +257,11 @@ class Turns:
         return keyframe
 
     def _judge(self) -> None:
-        """Have all matches verified that both sides have shown."""
-        for match, pair, keyframe in self._matches.unverified():
-            if keyframe is not None:
-                meet = partial(self._meeting, keyframe, pair[1])
-                self._verifier.judge(match, meet, partial(self._settle, match))
+        """Have matches verified that both sides have shown, a few at a time: other peers' wait, too."""
+        if self._allowance.struck:
+            return
+        for match, slot, keyframe in self._matches.unverified(self._desk.strikes):
+            self._verifier.judge(match, partial(self._meeting, keyframe, slot), partial(self._settle, match))
 
     def _meeting(self, keyframe: int, slot: int) -> Meeting | None:
         """What a verification sees; in the verifier's thread."""
@@ -274,6 +274,7 @@ class Turns:
         self._ask_from = 0.0  # there may be trust for the next
         self._wake()
         self._desk.hub.tell(Event.of(news))
+        self._judge()
 
     def _tell(self, name: str, text: str) -> None:
         self._desk.tell(name, text, *self._where)
