@@ -279,3 +279,24 @@ def test_a_slot_that_matches_all_does_not_keep_the_verification_from_other_peers
         until(lambda: alice.status()["galleries"][0]["state"] == "stopped")
         time.sleep(0.5)
         assert 3 <= len(found(alice, "rejected")) <= 5  # those that waited already
+
+
+def test_a_peer_that_begins_turn_after_turn_does_not_keep_a_robot_busy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, pause, take, count = deal(tmp_path, plan()), turn.Turns.pause, turn.Turns.take, [0]
+
+    def hasty(self: turn.Turns, longest: float) -> float:
+        return 0.0 if self._desk.robot == "bob" else pause(self, longest)
+
+    def counted(self: turn.Turns, session: Any) -> bool:
+        count[0] += self._desk.robot == "alice"
+        return take(self, session)
+
+    monkeypatch.setattr(turn.Turns, "pause", hasty)
+    monkeypatch.setattr(turn.Turns, "take", counted)
+    alice, bob = robots(mission)
+    with alice, bob:
+        until(lambda: count[0])
+        time.sleep(2.0)
+        assert count[0] < 60

@@ -33,6 +33,8 @@ _SHORTEST, _LONGEST = 0.1, 5.0
 """Seconds before another try to connect, doubled while tries bring nothing that lasts."""
 _SLOW = 10.0
 """Seconds before another try where somebody has to do something first."""
+_IDLE = 0.05
+"""Seconds between a turn that brought nothing and the next: a peer that has much to say costs little."""
 HEARTBEAT = 10.0
 """Seconds without a turn after which one is made anyway: so a dead line is noticed."""
 
@@ -171,6 +173,8 @@ class Link:
 
     def _wait(self, session: Any) -> None:
         """Idle until there is a reason for a turn."""
+        if not self._turns.moved:
+            self._desk.stop.wait(_IDLE)
         seconds = self._turns.pause(HEARTBEAT)
         if seconds > 0 and not self._desk.stop.is_set():
             session.await_peer(seconds, self._wake.fileno())

@@ -36,6 +36,9 @@ class Turns:
         terms: What it is for.
         verifier: Gives verdicts.
         wake: Has a turn made soon.
+
+    Attributes:
+        moved: Whether anything was compared, or shown by the peer, in the last turn.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class Turns:
         self._sent = self._rounds = self._compared = 0
         self._ask_from = self._bring_from = self._looked = 0.0  # not before, and when, on the monotonic clock
         self._full = self._open = self._yields = False
+        self.moved = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
         """Take up what a new connection brings: slots that were filled, results that were missed.
@@ -78,6 +82,7 @@ class Turns:
         """One turn; returns False when one of the two has ended."""
         saying = self._saying(session)
         heard = Saying.read(session.exchange_note(saying.as_json()), self._capacity)
+        self.moved = False
         self._matches.told(saying.outcomes)
         self._matches.hear(heard.outcomes)
         if saying.leave or heard.leave:
@@ -170,6 +175,7 @@ class Turns:
     def _block(self, session: GallerySession, block: Block) -> None:
         self._reconcile(session)
         self._peer.pairs.spend(block.results.size)
+        self.moved = True
         self._find([block])
 
     def _find(self, blocks: Sequence[Block]) -> None:
@@ -244,6 +250,7 @@ class Turns:
         finally:
             matches.take_back(promised)
         if shown:
+            self.moved = True
             matches.show(shown.items())
             self._ask_from = 0.0
             self._asked.clear()  # one after the other, and each may take as long as a link makes it
