@@ -34,6 +34,8 @@ _SHORTEST, _LONGEST = 0.1, 5.0
 """Seconds before another try to connect, doubled while tries bring nothing that lasts."""
 _SLOW = 10.0
 """Seconds before another try where somebody has to do something first."""
+_IDLE = 0.05
+"""Seconds between a turn that brought nothing and the next: a peer that has much to say costs little."""
 HEARTBEAT = 10.0
 """Seconds without a turn after which one is made anyway: so a dead line is noticed."""
 
@@ -183,6 +185,8 @@ class Link:
 
     def _wait(self, session: Any) -> None:
         """Idle until there is a reason for a turn."""
+        if not self._turns.moved:
+            self._desk.stop.wait(_IDLE)
         until = time.monotonic() + self._turns.pause(HEARTBEAT)
         while (left := until - time.monotonic()) > 0 and not self._desk.stop.is_set():
             if self._reach.is_called():

@@ -157,15 +157,19 @@ class Matches:
 
     # -- verifying -----------------------------------------------------------------------------------
 
-    def unverified(self) -> list[tuple[int, Pair, int | None]]:
-        """Matches that both robots have shown and no verdict is given of: number, slots, own keyframe."""
-        rows = self._records.all(
-            "SELECT m.match, m.slot, m.peer_slot, m.keyframe FROM matches m "
+    def unverified(self, most: int) -> list[tuple[int, int, int]]:
+        """The oldest matches that both robots have shown and no verdict is on.
+
+        Returns:
+            Number, the peer's slot, own keyframe.
+        """
+        return self._records.all(
+            "SELECT m.match, m.peer_slot, m.keyframe FROM matches m "
             "JOIN opened o ON o.link = m.link AND o.slot = m.peer_slot "
-            "WHERE m.link = ? AND m.state IN ('candidate', 'withheld') ORDER BY m.match",
-            self._link,
+            "WHERE m.link = ? AND m.state IN ('candidate', 'withheld') AND m.keyframe IS NOT NULL "
+            "ORDER BY m.match LIMIT ?",
+            *(self._link, most),
         )
-        return [(match, (slot, peer_slot), keyframe) for match, slot, peer_slot, keyframe in rows]
 
     def settle(self, match: int, verdict: Verdict) -> Match:
         """Keep what the verification said; returns the news of it."""

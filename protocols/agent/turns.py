@@ -36,6 +36,9 @@ class Turns:
         terms: What it is for.
         verifier: Gives verdicts.
         wake: Has a turn made soon.
+
+    Attributes:
+        moved: Whether anything was compared, or shown by the peer, in the last turn.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class Turns:
         self._sent = self._rounds = self._compared = 0
         self._ask_from = self._bring_from = self._looked = 0.0  # not before, and when, on the monotonic clock
         self._full = self._open = self._yields = False
+        self.moved = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
         """Take up what a new connection brings: slots that were filled, results that were missed.
@@ -78,6 +82,7 @@ class Turns:
         """One turn; returns False when one of the two has ended."""
         saying = self._saying(session)
         heard = Saying.read(session.exchange_note(saying.as_json()), self._capacity)
+        self.moved = False
         self._matches.told(saying.outcomes)
         self._matches.hear(heard.outcomes)
         if saying.leave or heard.leave:
@@ -170,6 +175,7 @@ class Turns:
     def _block(self, session: GallerySession, block: Block) -> None:
         self._reconcile(session)
         self._peer.pairs.spend(block.results.size)
+        self.moved = True
         self._find([block])
 
     def _find(self, blocks: Sequence[Block]) -> None:
@@ -244,6 +250,7 @@ class Turns:
         finally:
             matches.take_back(promised)
         if shown:
+            self.moved = True
             matches.show(shown.items())
             self._ask_from = 0.0
             self._asked.clear()  # one after the other, and each may take as long as a link makes it
@@ -257,11 +264,11 @@ class Turns:
         return keyframe
 
     def _judge(self) -> None:
-        """Have all matches verified that both sides have shown."""
-        for match, pair, keyframe in self._matches.unverified():
-            if keyframe is not None:
-                meet = partial(self._meeting, keyframe, pair[1])
-                self._verifier.judge(match, meet, partial(self._settle, match))
+        """Have matches verified that both sides have shown, a few at a time: other peers' wait, too."""
+        if self._allowance.struck:
+            return
+        for match, slot, keyframe in self._matches.unverified(self._desk.strikes):
+            self._verifier.judge(match, partial(self._meeting, keyframe, slot), partial(self._settle, match))
 
     def _meeting(self, keyframe: int, slot: int) -> Meeting | None:
         """What a verification sees; in the verifier's thread."""
@@ -274,6 +281,7 @@ class Turns:
         self._ask_from = 0.0  # there may be trust for the next
         self._wake()
         self._desk.hub.tell(Event.of(news))
+        self._judge()
 
     def _tell(self, name: str, text: str) -> None:
         self._desk.tell(name, text, *self._where)
