@@ -203,8 +203,8 @@ class Link:
             self._state, self._why = "stopped", strikes[-1]
             self._tell(
                 "stopped",
-                f"{self.peer} has {len(strikes)} strikes (the last: {strikes[-1]}): it is not compared with "
-                f"until you say so: python -m spdz agent --forgive {self.peer}, or agent.forgive()",
+                f"{self.peer} has {len(strikes)} strikes and is not compared with any more (the last: "
+                f"{strikes[-1]}): start this agent again with --forgive {self.peer}, or call agent.forgive()",
                 strikes=len(strikes),
             )
         self._desk.stop.wait(1.0)
@@ -213,9 +213,9 @@ class Link:
     # -- telling -------------------------------------------------------------------------------------
 
     def _note_left(self) -> None:
-        if not self._desk.stop.is_set():
-            self._state, self._why = "waiting", f"{self.peer} has ended"
-            self._tell("left", f"{self.peer} has ended")
+        if self._turns.farewell:
+            self._state, self._why = "waiting", self._turns.farewell
+            self._tell("left", self._turns.farewell)
 
     def _lost(self, error: SpdzError, met: bool) -> None:
         if self._desk.stop.is_set():
@@ -224,7 +224,7 @@ class Link:
         if met:
             self._tell("lost", f"lost {self.peer}: {error}")
         else:
-            self._teller.tell(str(error))
+            self._teller.tell(f"{self.peer}: {error}")
 
     def _hold_against(self, error: SpdzError, state: str, name: str) -> None:
         self._note(state, name, error)

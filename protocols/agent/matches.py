@@ -225,14 +225,23 @@ class Matches:
                     *(self._link, *one.pair, one.state),
                 )
 
-    def hear(self, outcomes: Sequence[Outcome]) -> None:
-        """Keep the peer's verdicts; those of pairs that are no matches here are nothing."""
+    def hear(self, outcomes: Sequence[Outcome]) -> list[tuple[int, Outcome]]:
+        """Keep the peer's verdicts; those of pairs that are no matches here are nothing.
+
+        Returns:
+            What is new: the match's number and the verdict.
+        """
+        new = []
         with self._records.transaction():
             for one in outcomes:
-                self._records.run(
-                    "UPDATE matches SET peer_state = ? WHERE link = ? AND slot = ? AND peer_slot = ?",
+                changed = self._records.run(
+                    "UPDATE matches SET peer_state = ?1 WHERE link = ?2 AND slot = ?3 AND peer_slot = ?4 "
+                    "AND peer_state IS NOT ?1",
                     *(one.state, self._link, *one.pair),
                 )
+                if changed:
+                    new.append((self._number(one.pair), one))
+        return new
 
     def _number(self, pair: Pair) -> int:
         query = "SELECT match FROM matches WHERE link = ? AND slot = ? AND peer_slot = ?"
