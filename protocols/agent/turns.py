@@ -144,6 +144,8 @@ class Turns:
     # -- a turn --------------------------------------------------------------------------------------
 
     def _saying(self, session: GallerySession) -> Saying:
+        # Looked at before the verdicts are: who leaves because of one tells it.
+        leaves = "ended" if self._desk.stop.is_set() else "struck" if self._allowance.struck else ""
         want, outcomes = self._wanted(), self._matches.untold(MOST_OUTCOMES)
         fresh = len(self._slots.waiting(map(digest_of, self._waiting), TOGETHER))
         self._left, self._open = session.room, session.unfinished
@@ -157,7 +159,6 @@ class Turns:
         waiting = 0 if self._yields else len(self._waiting) + min(fresh, self._left)
         held = (self._held[0] - due, self._held[1])
         brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *held, pairs)
-        leaves = "ended" if self._desk.stop.is_set() else "struck" if self._allowance.struck else ""
         hold = self._allowance.holds(pairs)
         return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves, hold)
 
