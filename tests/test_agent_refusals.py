@@ -146,6 +146,7 @@ def test_a_budget_of_pairs_is_kept_and_told(tmp_path: Path) -> None:
         feed(alice, 0, places(12, 16, seed=1))
         feed(bob, 0, places(12, 16, seed=2))
         until(lambda: any(event.name == "budget" for event in events))
+        until(lambda: alice.status()["galleries"][0]["budget_spent"])
         compared = alice.status()["galleries"][0]["pairs"]
         assert 0 < compared <= 20
         assert alice.status()["galleries"][0]["why"]["code"] == "budget-spent"
@@ -217,3 +218,11 @@ def test_why_nothing_matched(tmp_path: Path) -> None:
             until(lambda: code(alice) == "no-peer-keyframes")
             feed(bob, 0, places(1, 16, seed=2))
             until(lambda: code(alice) == "below-threshold")
+
+
+@pytest.mark.parametrize(("security", "told"), [("malicious", 0), ("semi-honest", 1)])
+def test_a_semi_honest_mission_is_told_to_be_one(tmp_path: Path, security: str, told: int) -> None:
+    events: list[Event] = []
+    mission = deal(tmp_path, plan(security=security))
+    Agent(mission / "alice", listen="127.0.0.1:0", on_event=events.append).close()
+    assert sum(event.name == "unproved" for event in events) == told

@@ -31,6 +31,10 @@ Self = TypeVar("Self", bound="Agent")
 
 _SLICE = 0.5
 """Seconds after which a reader looks for news anyway."""
+_UNPROVED = (
+    "this mission is semi-honest: a peer whose program was changed matches whatever it likes, and is then "
+    "shown the keyframe. Strikes bound it, if a verification is given: deal malicious if robots may be captured"
+)
 FAREWELL = 15.0
 """Seconds that :meth:`Agent.stop` gives turns under way."""
 
@@ -111,6 +115,8 @@ class Agent:
         except BaseException:
             self._records.close()
             raise
+        if plan.security != "malicious":
+            self._desk.tell("unproved", _UNPROVED)
         self._verifier = Verifier(self._desk)
         self._links = [
             Link(
