@@ -32,8 +32,8 @@ Self = TypeVar("Self", bound="Agent")
 _SLICE = 0.5
 """Seconds after which a reader looks for news anyway."""
 _UNPROVED = (
-    "this mission is semi-honest: a peer whose program was changed matches whatever it likes, and is then "
-    "shown the keyframe. Strikes bound it, if a verification is given: deal malicious if robots may be captured"
+    "this mission is semi-honest: a peer whose program was changed matches whatever it likes, and is "
+    "then shown it. Strikes bound it, if a verification is given. If robots may be captured, deal malicious"
 )
 FAREWELL = 15.0
 """Seconds that :meth:`Agent.stop` gives turns under way."""
