@@ -247,3 +247,11 @@ def test_why_nothing_matched(tmp_path: Path) -> None:
             until(lambda: code(alice) == "no-peer-keyframes")
             feed(bob, 0, places(1, 16, seed=2))
             until(lambda: code(alice) == "below-threshold")
+
+
+@pytest.mark.parametrize(("security", "told"), [("malicious", 0), ("semi-honest", 1)])
+def test_a_semi_honest_mission_is_told_to_be_one(tmp_path: Path, security: str, told: int) -> None:
+    events: list[Event] = []
+    mission = deal(tmp_path, plan(security=security))
+    Agent(mission / "alice", listen="127.0.0.1:0", on_event=events.append).close()
+    assert sum("semi-honest" in event.text for event in events) == told

@@ -281,8 +281,8 @@ def _warnings(plan: Mission, verify: Verify | None) -> Iterator[str]:
     """What weakens an agent's protection, at its start."""
     if plan.security != "malicious":
         yield (
-            "this mission is semi-honest: a peer that deviates can make any pair match, and then sees this "
-            "robot's keyframes"
+            "this mission is semi-honest: a peer whose program was changed matches whatever it likes, and is "
+            "then shown it. If robots may be captured, deal malicious"
         )
     if verify is None:
         yield (

@@ -137,16 +137,30 @@ class Matches:
         return {slot for (slot,) in rows} & set(slots)
 
     def show(self, shown: Iterable[tuple[int, Keyframe]]) -> None:
-        """Keep what the peer has shown of its slots."""
+        """Keep what the peer has shown of its slots.
+
+        Raises:
+            ProtocolViolation: if it has shown another keyframe of the same number; nothing is kept.
+        """
         with self._records.transaction():
             for slot, keyframe in shown:
                 if keyframe.vector is None:
                     raise ValueError("what a peer shows has a vector")
+                self._refuse_another(keyframe)
                 vector = np.asarray(keyframe.vector, dtype="<f8").tobytes()
                 self._records.run(
                     "INSERT OR IGNORE INTO opened VALUES (?, ?, ?, ?, ?, ?)",
                     *(self._link, slot, keyframe.id, keyframe.stamp, vector, keyframe.payload),
                 )
+
+    def _refuse_another(self, keyframe: Keyframe) -> None:
+        """Refuse a second keyframe of a peer's number: whoever draws a map goes by it."""
+        query = (
+            "SELECT count(*) FROM opened JOIN links USING (link) JOIN links own ON own.link = ? "
+            "WHERE links.peer = own.peer AND keyframe = ? AND (payload != ? OR stamp IS NOT ?)"
+        )
+        if self._records.all(query, self._link, keyframe.id, keyframe.payload, keyframe.stamp) != [(0,)]:
+            raise ProtocolViolation(f"the peer has shown two keyframes of the number {keyframe.id}")
 
     def theirs(self, slot: int) -> Keyframe | None:
         """What the peer has shown of a slot."""
