@@ -138,6 +138,25 @@ def test_a_verification_that_raises_rejects_that_match_alone(tmp_path: Path) -> 
     assert why == "the verification raised ZeroDivisionError: oops"
 
 
+def test_a_failed_mac_check_stops_the_peer_in_all_galleries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission = deal(tmp_path, plan())
+    take = turns.Turns.take
+
+    def cheated(self: turns.Turns, session: Any) -> bool:
+        if self._desk.robot == "alice":
+            raise MacCheckFailed("an opened value does not carry a valid MAC")
+        return take(self, session)
+
+    monkeypatch.setattr(turns.Turns, "take", cheated)
+    alice, bob = robots(mission)
+    with alice, bob:
+        until(lambda: alice.status()["galleries"][0]["state"] == "destroyed")
+        until(lambda: alice.status()["galleries"][0]["strikes"] == 3)
+        assert alice.status()["galleries"][0]["why"]["code"] == "destroyed"
+
+
 def test_true_and_false_are_verdicts(tmp_path: Path) -> None:
     mission = deal(tmp_path, plan())
     a = places(2, 16, seed=1)
