@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from bench.attacks.prober import Prior, probe
-from protocols.check import Standing, describe
+from protocols.check import Form, Standing, Whitening, describe
+from protocols.check.advice import advice
 from protocols.check.clear_scores import score_table, threshold_cosine, unit
-from protocols.check.spread import Whitening, bits_until, effective_dimension
+from protocols.check.percent import percent
+from protocols.check.spread import bits_until, effective_dimension
 from protocols.scores import SCORES
 from spdz.arithmetic.fixed_point import encode
 from spdz.local import run_clear
@@ -125,6 +127,66 @@ def test_whitening_is_the_inverse_root_of_the_shrunk_covariance(count):
     np.testing.assert_allclose(Whitening.fit(vectors, shrinkage).applied(vectors, 2.0), expected, atol=1e-9)
 
 
+def test_whitening_that_was_saved_is_the_same_on_every_robot(tmp_path):
+    fitted, rows = Whitening.fit(correlated(100)), correlated(20, seed=7)
+    fitted.save(tmp_path / "whitening.npz")
+    np.testing.assert_array_equal(
+        Whitening.load(tmp_path / "whitening.npz").applied(rows, 1.0), fitted.applied(rows, 1.0)
+    )
+
+
+def _cut(path):
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def _flip(path):
+    content = bytearray(path.read_bytes())
+    content[300] ^= 0xFF
+    path.write_bytes(content)
+
+
+def _without_axes(path):
+    with np.load(path) as file:
+        np.savez(path, **{key: file[key] for key in ("mean", "gains", "rest")})
+
+
+def _nan(path):
+    with np.load(path) as file:
+        np.savez(path, **(dict(file) | {"rest": np.nan}))
+
+
+def _other_shape(path):
+    with np.load(path) as file:
+        np.savez(path, **(dict(file) | {"gains": file["gains"][:-1]}))
+
+
+def _text(path):
+    path.write_text("mean")
+
+
+def _array(path):
+    with path.open("wb") as file:
+        np.save(file, np.ones(3))
+
+
+@pytest.mark.parametrize("damage", [_cut, _flip, _without_axes, _nan, _other_shape, _text, _array])
+def test_a_damaged_or_foreign_whitening_file_is_refused(damage, tmp_path):
+    path = tmp_path / "whitening.npz"
+    Whitening.fit(correlated(100)).save(path)
+    damage(path)
+    with pytest.raises(ValueError, match=r"whitening\.npz: expected"):
+        Whitening.load(path)
+
+
+def test_whitening_wants_finite_vectors_of_one_length():
+    with pytest.raises(ValueError, match="NaN"):
+        Whitening.fit(np.full((3, 4), np.nan))
+    with pytest.raises(ValueError, match="at least two"):
+        Whitening.fit(np.ones((1, 4)))
+    with pytest.raises(ValueError, match=r"shape \(n, 40\)"):
+        Whitening.fit(correlated(50)).applied(np.ones((3, 4)), 1.0)
+
+
 # What is described
 
 
@@ -135,7 +197,8 @@ def test_an_all_equal_vector_matches_non_negative_descriptors_until_they_are_whi
     assert standing.whitened.effective_dimension > 2 * standing.as_is.effective_dimension
     assert standing.whitened.bits > standing.as_is.bits
     words = " ".join(standing.advice)
-    assert "all-equal vector matches 100%" in words and "whitening would change" in words
+    assert "all-equal vector matches 100% of them" in words and "Subtract a public mean" in words
+    assert "whitening would make it better: effective dimension" in words and "instead of 100%" in words
 
 
 def test_isotropic_descriptors_are_left_in_peace():
@@ -150,7 +213,7 @@ def test_foreign_vectors_that_match_are_told():
     own = isotropic(100, 64)
     standing = describe(own, foreign=own[:50], threshold=0.9)
     assert standing.as_is.foreign == pytest.approx(1 / 99)  # the last row has none that follows it
-    assert any("another place matches in 0.01" in sentence for sentence in standing.advice)
+    assert any("another place matches in 1.01% of" in sentence for sentence in standing.advice)
 
 
 def test_without_foreign_ones_it_says_what_it_does_not_know():
@@ -202,7 +265,36 @@ def test_an_l1_score_is_described_too():
 def test_where_nothing_tells_places_apart_no_threshold_is_suggested():
     standing = describe(isotropic(200, 50), foreign=isotropic(200, 50, seed=6))
     assert standing.as_is.thresholds is None and standing.threshold is None and standing.as_is.random is None
-    assert any("no threshold tells them apart" in sentence for sentence in standing.advice)
+    (said,) = (sentence for sentence in standing.advice if "no threshold tells them apart" in sentence)
+    assert "Nor whitened" in said and "hiten" not in " ".join(set(standing.advice) - {said})
+
+
+def test_what_whitening_makes_worse_is_called_so_and_what_stays_is_left_out():
+    unchanged, changed = Form(128, 0, 0.02, 0.5, 0, 9, None), Form(87, 0, 0.02, 0.001, 0, 9, None)
+    rows = isotropic(60, 30)
+    standing = dataclasses.replace(
+        describe(rows, threshold=0.9), as_is=unchanged, centred=unchanged, whitened=changed
+    )
+    (said,) = (sentence for sentence in advice(standing) if "would make it" in sentence)
+    assert said == (
+        "whitening would make it better: foreign ones match 0.10% instead of 50.0%; "
+        "and worse: effective dimension 87 instead of 128."
+    )
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.0, "0%"), (1.1e-5, "below 0.01%"), (1e-4, "0.01%"), (0.034, "3.40%"), (0.56, "56.0%"),
+     (0.9999, "99.9%"), (1.0, "100%")],
+)  # fmt: skip
+def test_every_share_is_told_in_percent(share, words):
+    assert percent(share) == words
+
+
+def test_the_suggested_threshold_is_not_called_too_lax():
+    standing = describe(drive(), foreign=isotropic(300, 100, seed=8), neighbours=30)
+    assert 1e-4 < standing.as_is.foreign < 1.5e-4
+    assert not any("another place matches in" in sentence for sentence in standing.advice)
 
 
 def test_a_lax_threshold_is_told():
@@ -264,6 +356,10 @@ def test_numbers_that_vanish_are_told():
         (np.ones((0, 8)), {}, r"\(0, 8\)"),
         (np.array([["a"]]), {}, "integers or floats"),
         (np.ones((5, 8)), {}, "at least 28 descriptors .* got 5 of 5"),
+        (np.ones((50, 8)), {"neighbours": 500}, "at least 2008 descriptors .*--neighbours 500"),
+        (isotropic(50, 8), {"threshold": 5.0}, "5 lets no pair match: no S10 is above 1 "),
+        (isotropic(50, 8), {"threshold": -0.1, "score": "S6"}, "no pair match: a distance"),
+        (2 * isotropic(50, 8), {"threshold": 4.1}, "no S10 is above 4"),
         (np.full((50, 8), np.nan), {}, "got 0 of 50"),
         (np.ones((50, 8)), {"foreign": np.ones((50, 9))}, "expected 8 numbers a row .* got 9"),
         (np.ones((50, 8)), {"foreign": np.zeros((50, 8))}, "foreign descriptors: none"),
@@ -286,7 +382,14 @@ def test_the_command_prints_figures_and_advice(tmp_path):
     result = check(tmp_path / "a.npy", "--foreign", tmp_path / "b.npy", "--threshold", 0.7)
     assert result.returncode == 0 and not result.stderr
     assert "an all-equal vector matches" in result.stdout and "- An all-equal vector" in result.stdout
-    assert max(map(len, result.stdout.splitlines())) <= 120
+    assert max(map(len, result.stdout.splitlines())) <= 110
+
+
+def test_without_a_threshold_there_is_no_row_of_dashes(tmp_path):
+    np.save(tmp_path / "a.npy", isotropic(200, 16))
+    text = check(tmp_path / "a.npy").stdout
+    assert "give --threshold to see how often they match" in text and " - " not in text
+    assert "0 outside --max-norm 1\n" in text
 
 
 def test_json_has_every_field(tmp_path):

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from protocols.check.percent import percent
 from protocols.check.standing import Form, Standing
+from protocols.check.trials import RARE
 from protocols.scores import SCORES
 from spdz.arithmetic.fixed_point import MAX_NORM
 
-RARE = 1e-4
-"""Share of foreign pairs that may match: what "a probe must guess" needs."""
+_PLACES = 4
+"""Shares are held against RARE as they are shown: the threshold that is suggested meets it by a hair."""
 _FEW_BITS = 300
 """Fewer probe bits than this fit a usual mission's slots."""
-_STRIKES = 22
-"""What three strikes in 300 slots leave, in bits: log2 of all answers with at most three matches."""
 _MANY = 0.25
 """More vanishing numbers than this are told."""
 _GAIN = 1.5
 """Whitening is advised if it makes the effective dimension so many times larger."""
+_SAME = 1.1
+"""Effective dimensions that differ by a smaller factor are as good as equal."""
 
 
 def advice(standing: Standing) -> Iterator[str]:
@@ -76,17 +78,16 @@ def _norms(standing: Standing) -> Iterator[str]:
 def _guessing(standing: Standing) -> Iterator[str]:
     form = standing.as_is
     if form.equal:
+        centred = standing.centred.equal
+        helps = centred is not None and centred < form.equal / 2
         yield (
-            f"an all-equal vector matches {form.equal:.0%} of them: anybody has a match without knowing "
-            "anything. Subtract a public mean before normalising."
+            f"an all-equal vector matches {percent(form.equal)} of them: anybody has a match without knowing "
+            f"anything.{' Subtract a public mean before normalising.' if helps else ''}"
         )
-    if form.foreign is not None and form.foreign > RARE:
-        whitened = standing.whitened.foreign
-        helps = whitened is not None and whitened < form.foreign / 2
+    if form.foreign is not None and round(form.foreign, _PLACES) > RARE:
         yield (
-            f"a descriptor of another place matches in {form.foreign:.2g} of the pairs, more than 10^-4: to "
-            "probe, nobody need guess a vector near yours. "
-            f"{'Whiten' if helps else 'Ask for a stricter threshold'}."
+            f"a descriptor of another place matches in {percent(form.foreign)} of the pairs, more than "
+            f"{percent(RARE)}: to probe, nobody need guess a vector near yours.{_remedy(standing)}"
         )
     if standing.foreign_count is None:
         yield (
@@ -99,12 +100,20 @@ def _guessing(standing: Standing) -> Iterator[str]:
             "that is not yours matches."
         )
     elif form.bits is not None and form.bits < _FEW_BITS:
-        stops = "counting matches that nobody follows up does" if form.bits > _STRIKES else "nor do strikes"
         yield (
             f"after a first match {form.bits:.0f} probe bits, and some 30 to begin with, give a guess of "
             f"cosine 0.9 (effective dimension {form.effective_dimension:.0f}). The slots of a mission seldom "
-            f"stop that; {stops}."
+            "stop that. An agent's strikes do between its steps; one step may ask as many bits as slots and "
+            "budgets allow."
         )
+
+
+def _remedy(standing: Standing) -> str:
+    now, whitened = standing.as_is, standing.whitened
+    fewer = now.foreign is not None and whitened.foreign is not None and whitened.foreign < now.foreign / 2
+    if fewer and whitened.thresholds is not None:
+        return " Whiten."
+    return "" if now.thresholds is None else " Ask for a stricter threshold."
 
 
 def _whitening(standing: Standing) -> Iterator[str]:
@@ -112,12 +121,12 @@ def _whitening(standing: Standing) -> Iterator[str]:
     for what, form in (("subtracting the mean", standing.centred), ("whitening", standing.whitened)):
         better = form.effective_dimension > _GAIN * now.effective_dimension
         if better or _fewer(now, form):
-            yield f"{what} {_change(now, form)}."
+            yield f"{what} would make it {_change(standing, form)}."
     if (
         standing.whitened.effective_dimension > _GAIN * now.effective_dimension
         and standing.whitened.thresholds
     ):
-        ends = " to ".join(f"{end:.3g}" for end in standing.whitened.thresholds)
+        ends = " to ".join(f"{end:.4g}" for end in standing.whitened.thresholds)
         yield f"whitened descriptors need another threshold: {ends} would make sense for these."
 
 
@@ -128,18 +137,22 @@ def _fewer(now: Form, form: Form) -> bool:
     )
 
 
-def _change(now: Form, form: Form) -> str:
-    changes = [
-        f"the effective dimension from {now.effective_dimension:.0f} to {form.effective_dimension:.0f}"
-    ]
+def _change(standing: Standing, form: Form) -> str:
+    """What is better and what is worse in another form; what stays as it is is left out."""
+    now, better, worse = standing.as_is, list[str](), list[str]()
+    ratio = form.effective_dimension / now.effective_dimension
+    if not 1 / _SAME < ratio < _SAME:
+        sizes = f"{form.effective_dimension:.0f} instead of {now.effective_dimension:.0f}"
+        (better if ratio > 1 else worse).append(f"effective dimension {sizes}")
     for name, before, after in (
-        ("all-equal", now.equal, form.equal),
-        ("foreign", now.foreign, form.foreign),
-        ("own", now.own, form.own),
+        ("an all-equal vector matches", now.equal, form.equal),
+        ("foreign ones match", now.foreign, form.foreign),
     ):
-        if before and after is not None:
-            changes.append(f"{name} matches from {before:.2g} to {after:.2g}")
-    return f"would change {', '.join(changes)}"
+        if before is not None and after is not None and percent(before) != percent(after):
+            share = f"{percent(after)} instead of {percent(before)}"
+            (better if after < before else worse).append(f"{name} {share}")
+    parts = [("better", better), ("worse", worse)]
+    return "; and ".join(f"{word}: {', '.join(changes)}" for word, changes in parts if changes)
 
 
 def _threshold(standing: Standing) -> Iterator[str]:
@@ -147,13 +160,14 @@ def _threshold(standing: Standing) -> Iterator[str]:
     other = "descriptors of another place" if standing.foreign_count else "rows that are no neighbours"
     side = ">=" if SCORES[standing.score].similarity else "<="
     if ends is None:
+        whitened = "Whitened they can be; or" if standing.whitened.thresholds else "Nor whitened:"
         yield (
             f"no threshold tells them apart: one pair in 10^4 of {other} is as near as half of the direct "
-            "neighbours. Whiten, or use another descriptor."
+            f"neighbours. {whitened} use another descriptor, or keyframes so close that neighbours are alike."
         )
         return
     yield (
-        f"a threshold from {ends[0]:.3g} to {ends[1]:.3g} makes sense ({standing.score} {side} it): past the "
+        f"a threshold from {ends[0]:.4g} to {ends[1]:.4g} makes sense ({standing.score} {side} it): past the "
         f"first at most one pair in 10^4 of {other} matches, at the second half of the direct neighbours "
         "still do."
     )
@@ -166,6 +180,6 @@ def _threshold(standing: Standing) -> Iterator[str]:
 def _numbers(standing: Standing) -> Iterator[str]:
     if standing.vanished > _MANY:
         yield (
-            f"{standing.vanished:.0%} of the numbers that are not zero are below 2^-17 and become zero: "
+            f"{percent(standing.vanished)} of the numbers that are not zero are below 2^-17 and become zero: "
             "scale the descriptors up, and deal with a larger --max-norm."
         )

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from protocols.check.description import NEIGHBOURS, describe
+from protocols.check.percent import percent
 from protocols.check.standing import Form, Standing
 from protocols.descriptors import load_descriptors
 from protocols.scores import SCORES
@@ -107,32 +108,33 @@ def run_check(options: argparse.Namespace) -> int:
 def _lines(standing: Standing) -> Iterator[str]:
     norms = standing.norms
     yield f"  norms             {norms.least:.4g} to {norms.most:.4g}, median {norms.median:.4g}"
-    yield (
-        f"                    {norms.outside} outside --max-norm {norms.max_norm:g}; these need "
-        f"--max-norm {norms.advised:g}"
-    )
+    needs = f"; these need --max-norm {norms.advised:g}" if norms.outside else ""
+    yield f"                    {norms.outside} outside --max-norm {norms.max_norm:g}{needs}"
     yield (
         f"  damaged           {standing.unusable} with NaN or infinity, {standing.zero} all zero, "
         f"{standing.duplicates} equal to an earlier one"
     )
     yield (
         f"  rounding          to 2^-16 moves a score by {standing.rounding:.2g} at most; "
-        f"{standing.vanished:.1%} of the numbers vanish"
+        f"{percent(standing.vanished)} of the numbers vanish"
     )
     if standing.threshold is not None:
         source = "" if standing.threshold_given else " (none was given: the laxest that makes sense)"
         yield f"  threshold         {standing.score}, {standing.threshold:.4g}{source}"
     yield f"  mean, covariance  from {standing.statistics_of}"
     yield ""
-    yield f"  {'':36}{'as they are':>14}{'mean subtracted':>18}{'whitened':>14}"
+    yield f"  {'':37}{'as they are':>18}{'mean subtracted':>19}{'whitened':>19}"
     forms = (standing.as_is, standing.centred, standing.whitened)
     yield _row("effective dimension", [f"{form.effective_dimension:.0f}" for form in forms])
-    yield _row("a random unit vector matches", [_share(form.random) for form in forms])
-    yield _row("an all-equal vector matches", [_share(form.equal) for form in forms])
-    yield _row("a foreign descriptor matches", [_share(form.foreign) for form in forms])
-    yield _row("own ones match that are no neighbours", [_share(form.own) for form in forms])
-    yield _row("probe bits to cosine 0.9", [_bits(form) for form in forms])
+    if standing.threshold is not None:
+        yield _row("a random unit vector matches", [_share(form.random) for form in forms])
+        yield _row("an all-equal vector matches", [_share(form.equal) for form in forms])
+        yield _row("a foreign descriptor matches", [_share(form.foreign) for form in forms])
+        yield _row("own ones match that are no neighbours", [_share(form.own) for form in forms])
+        yield _row("probe bits to cosine 0.9", [_bits(form) for form in forms])
     yield _row("thresholds that make sense", [_ends(form) for form in forms])
+    if standing.threshold is None:
+        yield "  no threshold makes sense as they are: give --threshold to see how often they match"
     yield ""
     for sentence in standing.advice:
         yield textwrap.fill(
@@ -141,11 +143,11 @@ def _lines(standing: Standing) -> Iterator[str]:
 
 
 def _row(name: str, cells: list[str]) -> str:
-    return f"  {name:38}{cells[0]:>12}{cells[1]:>18}{cells[2]:>14}"
+    return f"  {name:37}{cells[0]:>18}{cells[1]:>19}{cells[2]:>19}"
 
 
 def _share(share: float | None) -> str:
-    return "-" if share is None else f"{share:.2g}" if 0 < share < 0.01 else f"{share:.1%}"
+    return "-" if share is None else percent(share)
 
 
 def _bits(form: Form) -> str:
@@ -153,4 +155,4 @@ def _bits(form: Form) -> str:
 
 
 def _ends(form: Form) -> str:
-    return "none" if form.thresholds is None else f"{form.thresholds[0]:.2f} to {form.thresholds[1]:.2f}"
+    return "none" if form.thresholds is None else " to ".join(f"{end:.4g}" for end in form.thresholds)

@@ -12,13 +12,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from protocols.catalog import Purpose
 from protocols.check.advice import advice
 from protocols.check.clear_scores import score_table
 from protocols.check.spread import MOST_ROWS, SHRINKAGE, Whitening, evenly, thinned
 from protocols.check.standing import Norms, Standing
 from protocols.check.trials import Trials
 from protocols.scores import SCORES
-from spdz.arithmetic.fixed_point import FRACTION_BITS, norm_bound
+from protocols.thresholds import is_hopeless, threshold_warning
+from spdz.arithmetic.fixed_point import FRACTION_BITS, MAX_NORM, norm_bound
 from spdz.foundations.types import FloatArray
 
 NEIGHBOURS = 5
@@ -51,7 +53,8 @@ def describe(
         seed: Of the random vectors.
 
     Raises:
-        ValueError: for what is no array of enough descriptors, or an unknown score.
+        ValueError: for what is no array of enough descriptors, an unknown score, or a threshold that no pair
+            or every pair passes.
     """
     if score not in SCORES:
         raise ValueError(f"unknown score {score!r}; known scores are {', '.join(SCORES)}")
@@ -62,14 +65,16 @@ def describe(
     good, fewest = rows[finite & ~zero], 4 * neighbours + 8
     if len(good) < fewest:
         raise ValueError(
-            f"expected at least {fewest} descriptors that are finite and not all zero, got {len(good)} of "
-            f"{len(rows)}: give the descriptors of a whole drive, in the order in which they were taken"
+            f"expected at least {fewest} descriptors that are finite and not all zero (8, and 4 for each of "
+            f"--neighbours {neighbours}), got {len(good)} of {len(rows)}: give the descriptors of a whole "
+            "drive, in the order in which they were taken, or fewer neighbours"
         )
     others = None if foreign is None else _foreign(foreign, rows.shape[1])
     most = _L1_ROWS if score in ("S1", "S2") else MOST_ROWS
     index = evenly(len(good) - 1, most)
     kept, following = good[index], good[index + 1]
     norms = _norms(good, max_norm)
+    _reachable(score, threshold, rows.shape[1], max(max_norm, norms.advised))
     trials = Trials(score, norms.median, thinned(neighbours, len(good), len(kept)), seed)
     theirs = None if others is None else others[evenly(len(others), most)]
     useful = trials.thresholds(kept, following, theirs)
@@ -150,6 +155,17 @@ def _foreign(array: npt.ArrayLike, dim: int) -> FloatArray:
     if not len(good):
         raise ValueError("foreign descriptors: none of them is finite and not all zero")
     return good
+
+
+def _reachable(score: str, threshold: float | None, dim: int, max_norm: float) -> None:
+    """Refuse a threshold that a dealer refuses, of norms that are dealt for.
+
+    Raises:
+        ValueError: if every pair or no pair can pass it.
+    """
+    purpose = Purpose(score, dim, max_norm=min(max_norm, MAX_NORM))
+    if is_hopeless(purpose, threshold):
+        raise ValueError(threshold_warning(purpose, threshold))
 
 
 def _norms(rows: FloatArray, max_norm: float) -> Norms:

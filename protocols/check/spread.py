@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import zlib
+from dataclasses import dataclass, field, fields
+from os import PathLike
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -83,7 +86,7 @@ def bits_until(cosine: float, threshold: float, dimension: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitening:
-    """Public statistics that descriptors are changed by before they are normalised.
+    """Public statistics that descriptors are changed by before they are normalised, the same on all robots.
 
     Whitening by the inverse square root of S + e I, with e a share of the mean variance: what descriptors
     have in common counts little, what is special counts much. Kept as the axes in which S is not zero, of
@@ -103,7 +106,16 @@ class Whitening:
 
     @staticmethod
     def fit(vectors: FloatArray, shrinkage: float | None = SHRINKAGE) -> Whitening:
-        """Learn from public vectors ``(n, N)``, n >= 2; without ``shrinkage`` the mean alone."""
+        """Learn from public vectors ``(n, N)``, n >= 2; without ``shrinkage`` the mean alone.
+
+        Raises:
+            ValueError: for another shape, NaN or infinity.
+        """
+        if vectors.ndim != 2 or len(vectors) < 2 or not np.isfinite(vectors).all():
+            raise ValueError(
+                f"expected at least two finite vectors to learn from, shape (n, N), got shape {vectors.shape}"
+                f"{'' if np.isfinite(vectors).all() else ' with NaN or infinity'}"
+            )
         mean, dim = vectors.mean(axis=0), vectors.shape[1]
         if shrinkage is None:
             return Whitening(mean, np.empty((dim, 0)), np.empty(0), 1.0)
@@ -113,7 +125,40 @@ class Whitening:
         return Whitening(mean, axes.T, (variances + least) ** -0.5, least**-0.5)
 
     def applied(self, vectors: FloatArray, norm: float) -> FloatArray:
-        """Change vectors ``(n, N)`` and bring them to a norm; one that equals the mean stays zero."""
+        """Change vectors ``(n, N)`` and bring them to a norm; one that equals the mean stays zero.
+
+        Raises:
+            ValueError: if they have not N numbers each.
+        """
+        if vectors.ndim != 2 or vectors.shape[1] != len(self.mean):
+            raise ValueError(
+                f"expected vectors of shape (n, {len(self.mean)}), as was learnt from, got {vectors.shape}"
+            )
         centred = vectors - self.mean
         along = (centred @ self.axes) * (self.gains - self.rest)
         return unit(self.rest * centred + along @ self.axes.T) * norm
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write a file ``.npz``, to be copied to all robots."""
+        np.savez(path, mean=self.mean, axes=self.axes, gains=self.gains, rest=np.float64(self.rest))
+
+    @staticmethod
+    def load(path: str | PathLike[str]) -> Whitening:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            OSError: the file cannot be read.
+            ValueError: it is damaged, or another kind of file.
+        """
+        try:
+            with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
+                mean, axes, gains, rest = (
+                    np.asarray(file[one.name], np.float64) for one in fields(Whitening)
+                )
+        except (ValueError, KeyError, IndexError, EOFError, TypeError, BadZipFile, zlib.error) as error:
+            raise ValueError(f"{path}: expected a file that Whitening.save has written: {error}") from error
+        if (mean.ndim, gains.ndim, rest.shape, axes.shape) != (1, 1, (), (mean.size, gains.size)) or not all(
+            np.isfinite(one).all() for one in (mean, axes, gains, rest)
+        ):
+            raise ValueError(f"{path}: expected finite mean, axes, gains and rest, of shapes that fit")
+        return Whitening(mean, axes, gains, float(rest))
