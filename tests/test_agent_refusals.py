@@ -9,6 +9,7 @@ import pytest
 from agent_helpers import bobs, deal, feed, found, honest, news, places, plan, robots, until
 
 from protocols.agent import Agent, Event, Meeting, RecordsError, Verdict, turns
+from spdz import MacCheckFailed
 
 UNIT = np.eye(16)[0]
 
