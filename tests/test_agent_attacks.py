@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from agent_helpers import bobs, deal, feed, found, places, plan, robots, until
 
-from protocols.agent import Agent, Keyframe, Meeting, RecordsError, Verdict, link, showing, turns
+from protocols.agent import Agent, Keyframe, Meeting, RecordsError, Verdict, following, link, showing, turns
 from protocols.agent.allowance import Allowance
 from protocols.agent.strikes import Strikes
 from spdz.foundations.errors import ChannelError, ProtocolViolation
@@ -126,13 +126,13 @@ def test_a_line_that_breaks_does_not_leave_both_robots_waiting_for_each_other(
 def test_an_honest_peer_gets_no_strike_where_showing_takes_its_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mission, show = deal(tmp_path, plan()), turns.show
+    mission, show = deal(tmp_path, plan()), following.show
 
     def slowly(*arguments: Any) -> Any:
         time.sleep(0.4)  # a payload on a slow link
         return show(*arguments)
 
-    monkeypatch.setattr(turns, "show", slowly)
+    monkeypatch.setattr(following, "show", slowly)
     for robot in ("alice", "bob"):
         feed_alone(mission / robot, places(12, 16, seed=1))
     alice, bob = robots(mission, grace=0.5)
@@ -144,20 +144,20 @@ def test_an_honest_peer_gets_no_strike_where_showing_takes_its_time(
 def test_an_honest_peer_gets_no_strike_for_the_time_without_a_connection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    mission, show, broken = deal(tmp_path, plan()), turns.show, threading.Event()
+    mission, show, broken = deal(tmp_path, plan()), following.show, threading.Event()
 
     def lose(*arguments: Any) -> Any:
         broken.set()
         raise ChannelError("the line is lost")
 
-    monkeypatch.setattr(turns, "show", lose)
+    monkeypatch.setattr(following, "show", lose)
     for robot in ("alice", "bob"):
         feed_alone(mission / robot, places(4, 16, seed=1))
     alice, bob = robots(mission, grace=1.0)
     with alice:
         with bob:
             until(broken.is_set)
-        monkeypatch.setattr(turns, "show", show)
+        monkeypatch.setattr(following, "show", show)
         time.sleep(1.5)
         with bobs(mission, alice):
             until(lambda: len(found(alice, "verified")) == 4)

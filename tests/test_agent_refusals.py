@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from agent_helpers import bobs, deal, feed, found, honest, news, places, plan, robots, until
 
-from protocols.agent import Agent, Event, Meeting, RecordsError, Verdict, turns
+from protocols.agent import Agent, Event, Meeting, RecordsError, Verdict, following, turns
 from spdz import MacCheckFailed
 
 UNIT = np.eye(16)[0]
@@ -103,12 +103,12 @@ def test_a_peer_that_does_not_show_its_half_gets_a_strike(
 ) -> None:
     mission = deal(tmp_path, plan())
     a = places(1, 16, seed=1)
-    honest_pairs = turns.show
+    honest_pairs = following.show
 
     def withhold(session: Any, wanted: Any, true: Any, *rest: Any) -> Any:
         return honest_pairs(session, wanted, true if session.party == 0 else set(), *rest)
 
-    monkeypatch.setattr(turns, "show", withhold)
+    monkeypatch.setattr(following, "show", withhold)
     alice, bob = robots(mission, grace=1.5)
     with alice, bob:
         feed(alice, 0, a)
@@ -116,7 +116,7 @@ def test_a_peer_that_does_not_show_its_half_gets_a_strike(
         until(lambda: found(alice, "withheld") == {(0, None)})
         assert alice.status()["galleries"][0]["strikes"] == 1
         assert alice.status()["galleries"][0]["why"]["code"] == "withheld"
-        monkeypatch.setattr(turns, "show", honest_pairs)
+        monkeypatch.setattr(following, "show", honest_pairs)
         until(lambda: found(alice, "verified") == {(0, 0)})  # late, and no strike any more
         assert alice.status()["galleries"][0]["strikes"] == 0
 

@@ -2,10 +2,11 @@
 
 ::
 
-    keyframe   what it is given, and what a verification sees and says
+    keyframe   what it is given, and what a verification sees and says; intake: what is taken
     events     what it tells
     agent      the agent; asynchronous: for asyncio; cli, lines, folder_watch: for people and other programs
-    link       one gallery with one peer: connections; turns, saying, showing: what is done over them
+    link       one gallery with one peer, over connections; turns, saying: what is brought and compared;
+    following  what becomes of matches; showing: what two robots show each other
     records    the durable file; keyframes, matches, news, strikes: what is in it; evidence: shown to people
     verifier   the thread of the user's verification
     allowance  what a peer is granted; budgets: in a minute; reasons: why nothing matched

@@ -1,24 +1,20 @@
-"""The turns of one gallery with one peer: what is brought, what is compared, what is shown."""
+"""The turns of one gallery with one peer: what is brought and compared; matches are followed up beside it."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from protocols.agent.allowance import Allowance
 from protocols.agent.desk import Desk, Peer
-from protocols.agent.events import Event
-from protocols.agent.keyframe import Keyframe, Meeting, Verdict
+from protocols.agent.following import AGAIN, Following
 from protocols.agent.keyframes import Slots, digest_of
-from protocols.agent.matches import Matches, Outcome, Pair
-from protocols.agent.saying import MOST_OUTCOMES, MOST_PAIRS, TOGETHER, Saying
-from protocols.agent.showing import show
+from protocols.agent.saying import MOST_OUTCOMES, TOGETHER, Saying
 from protocols.agent.verifier import Verifier
-from spdz.foundations.types import IntArray, Json
+from spdz.foundations.types import IntArray
 from spdz.readings.gallery import Terms
 from spdz.session import Block, GallerySession, Step
 
@@ -26,8 +22,6 @@ _FAREWELLS = {
     "ended": "{peer} has ended",
     "struck": "{peer} has stopped with this robot: too many matches that it could not verify",
 }
-_AGAIN = 1.0
-"""Seconds before what the peer would not do now is asked for again."""
 
 
 class Turns:
@@ -51,19 +45,17 @@ class Turns:
     ) -> None:
         self._desk, self._peer, self._gallery, self._terms = desk, peer, gallery, terms
         self._where = (peer.name, gallery)
-        self._matches = Matches(desk.records, *self._where)
+        self._following = Following(desk, peer, gallery, verifier, wake)
+        self._matches = self._following.matches
         self._slots = Slots(desk.records, *self._where)
         self._allowance = Allowance(peer, desk.strikes, lambda text: self._tell("budget", text))
-        self._verifier, self._wake = verifier, wake
         self._waiting: list[IntArray] = []
         self._capacity = (0, 0)
         self._known = self._slots.known()
-        self._true: set[Pair] = set()
-        self._asked: dict[Pair, float] = {}  # seconds on connections
         self._held = [len(self._known), 0]
         self._left: int | None = None  # known when the peer was met
         self._sent = self._rounds = self._compared = 0
-        self._ask_from = self._bring_from = self._looked = 0.0  # not before, and when, on the monotonic clock
+        self._bring_from = 0.0  # not before, on the monotonic clock
         self._full = self._open = self._yields = False
         self.farewell = ""
         self.moved = False
@@ -76,13 +68,11 @@ class Turns:
             waiting: What the session brings of itself.
         """
         self._waiting, self._compared = waiting, 0
-        self._ask_from = self._bring_from = 0.0
-        self._looked = time.monotonic()
+        self._bring_from = 0.0
         self._capacity, self._known = session.capacity, self._slots.known()
         self._reconcile(session)
         self._find(list(session.results()))
-        self._true = self._matches.pairs()
-        self._judge()
+        self._following.begin()
 
     def take(self, session: GallerySession) -> bool:
         """One turn; returns False when one of the two has ended."""
@@ -90,7 +80,7 @@ class Turns:
         heard = Saying.read(session.exchange_note(saying.as_json()), self._capacity)
         self.moved = False
         self._matches.told(saying.outcomes)
-        self._hear(heard.outcomes)
+        self._following.hear(heard.outcomes, self._known)
         if saying.leave or heard.leave:
             self.farewell = "" if saying.leave else _FAREWELLS[heard.leave].format(peer=self._peer.name)
             return False
@@ -101,11 +91,12 @@ class Turns:
         fits = saying.due <= heard.room and not self._yields
         can = fits and not (saying.hold or heard.hold)
         if wanted:
-            self._show(session, sorted(wanted, key=lambda pair: pair[:: 1 - 2 * session.party]))
+            wanted.sort(key=lambda pair: pair[:: 1 - 2 * session.party])
+            self.moved = self._following.show(session, wanted, self._known, self._capacity)
         elif can and (mine or theirs or saying.open or heard.open):
             self._compare(session, mine, theirs)
         else:
-            self._bring_from = time.monotonic() + _AGAIN
+            self._bring_from = time.monotonic() + AGAIN
         return True
 
     def pause(self, longest: float) -> float:
@@ -114,7 +105,7 @@ class Turns:
             return 0.0
         due = [time.monotonic() + longest]
         if self._matches.unshown():
-            due.append(self._ask_from)
+            due.append(self._following.ask_from)
         if self._allowance.spent or self._slots.waiting(most=1):
             due.append(self._bring_from)
         return max(0.0, min(due) - time.monotonic())
@@ -146,7 +137,7 @@ class Turns:
     def _saying(self, session: GallerySession) -> Saying:
         # Looked at before the verdicts are: who leaves because of one tells it.
         leaves = "ended" if self._desk.stop.is_set() else "struck" if self._allowance.struck else ""
-        want, outcomes = self._wanted(), self._matches.untold(MOST_OUTCOMES)
+        want, outcomes = self._following.wanted(), self._matches.untold(MOST_OUTCOMES)
         fresh = len(self._slots.waiting(map(digest_of, self._waiting), TOGETHER))
         self._left, self._open = session.room, session.unfinished
         if fresh > self._left and not self._full:
@@ -189,14 +180,7 @@ class Turns:
     def _find(self, blocks: Sequence[Block]) -> None:
         """Keep and tell what is True in some results."""
         self._compared += sum(block.results.size for block in blocks)
-        pairs = Step(blocks=list(blocks)).matches
-        news = self._matches.found(pairs) if pairs else []
-        self._true.update(pairs)
-        self._peer.matches.spend(len(news))
-        for one in news:
-            self._desk.hub.tell(Event.of(one))
-        if news:
-            self._judge()  # both halves may have been shown for other matches
+        self._following.found(Step(blocks=list(blocks)).matches)
 
     def _reconcile(self, session: GallerySession) -> None:
         """Find out which keyframes are in which slots, by what the ledger holds."""
@@ -208,96 +192,6 @@ class Turns:
             self._slots.place(dict(zip(new, digests, strict=True)), lost)
             self._known = self._slots.known()
         self._held = [len(filled), len(session.peer_filled)]
-
-    # -- matches -------------------------------------------------------------------------------------
-
-    def _wanted(self) -> list[Pair]:
-        """Matches to be shown now; those that the peer has withheld for too long are given up."""
-        now, want = time.monotonic(), []
-        passed, self._looked = now - self._looked, now
-        unshown = self._matches.unshown()
-        # Time without a connection does not count; nobody is ever the further for that (see `Allowance`).
-        self._asked = {pair: self._asked.get(pair, -passed) + passed for pair in unshown}
-        for pair, seconds in self._asked.items():
-            if seconds > self._desk.grace:
-                why = f"{self._peer.name} has not shown its keyframe for {self._desk.grace:g} s"
-                if (news := self._matches.withhold(pair, why)) is not None:
-                    self._desk.hub.tell(Event.of(news))
-        if now >= self._ask_from:
-            want = unshown[:MOST_PAIRS]
-        return want
-
-    def _show(self, session: GallerySession, wanted: list[Pair]) -> None:
-        """Show each other what is wanted and found True here, as far as the peer is trusted with it."""
-        matches = self._matches
-        self._ask_from = time.monotonic() + _AGAIN  # unless the peer shows something
-        true = [pair for pair in wanted if pair in self._true and self._known.get(pair[0]) is not None]
-        before = matches.trusted()
-        trusted = matches.trust(true, self._desk.strikes)
-        seen = matches.shown([slot for _, slot in wanted])
-        promised = set(trusted) - before
-
-        def agreed(pairs: Sequence[Pair], later: bool) -> None:
-            promised.difference_update(pairs)
-            if later:
-                self._asked.clear()
-
-        later = len(trusted) < len(true)
-        try:
-            shown = show(
-                session,
-                wanted,
-                trusted,
-                seen,
-                self._own_keyframe,
-                self._capacity,
-                later,
-                agreed,
-                matches.promised,
-            )
-        finally:
-            matches.take_back(promised)
-        if shown:
-            self.moved = True
-            matches.show(shown.items())
-            self._ask_from = 0.0
-            self._asked.clear()  # one after the other, and each may take as long as a link makes it
-            self._judge()
-
-    def _hear(self, outcomes: Sequence[Outcome]) -> None:
-        """Keep and tell the peer's verdicts."""
-        for match, one in self._matches.hear(outcomes):
-            keyframe = self._known.get(one.pair[0])
-            text = f"{self._peer.name} says {one.state}: {self._gallery} keyframe {keyframe}"
-            fields: dict[str, Json] = {"match": match, "keyframe": keyframe, "peer_state": one.state}
-            self._desk.hub.tell(Event("peer-verdict", text, *self._where, fields))
-
-    def _own_keyframe(self, slot: int) -> Keyframe:
-        number = self._known.get(slot)
-        keyframe = None if number is None else self._desk.keyframes.get(number, self._gallery)
-        if keyframe is None:
-            raise ValueError(f"the keyframe in slot {slot} is not known any more")
-        return keyframe
-
-    def _judge(self) -> None:
-        """Have matches verified that both sides have shown, a few at a time: other peers' wait, too."""
-        if self._allowance.struck:
-            return
-        for match, slot, keyframe in self._matches.unverified(self._desk.strikes):
-            self._verifier.judge(match, partial(self._meeting, keyframe, slot), partial(self._settle, match))
-
-    def _meeting(self, keyframe: int, slot: int) -> Meeting | None:
-        """What a verification sees; in the verifier's thread."""
-        own, other = self._desk.keyframes.get(keyframe, self._gallery), self._matches.theirs(slot)
-        return None if own is None or other is None else Meeting(*self._where, own, other)
-
-    def _settle(self, match: int, verdict: Verdict) -> None:
-        """Keep and tell a verdict; in the verifier's thread."""
-        news = self._matches.settle(match, verdict)
-        self._ask_from = 0.0  # there may be trust for the next
-        self._wake()
-        self._desk.hub.tell(Event.of(news))
-        self._judge()
 
     def _tell(self, name: str, text: str) -> None:
         self._desk.tell(name, text, *self._where)
