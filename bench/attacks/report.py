@@ -179,7 +179,7 @@ def _probes(found: Findings) -> Table:
             ("start", "cosine of the best guess with the descriptor before any probe"),
             (
                 "to 0.90",
-                "bits, one a probe, until the best guess has that cosine; > before a number: not yet after it",
+                "bits, one a probe, until the best guess has that cosine; >: not after so many",
             ),
             (
                 "by the rule",
