@@ -262,3 +262,41 @@ def test_a_peer_cannot_pay_with_a_copy_of_what_it_was_shown(
         until(lambda: found(alice, "verified") or alice.status()["galleries"][0]["strikes"])
         assert not found(alice, "verified")
         assert "another keyframe" in alice._links[0]._peer.strikes.reasons[0]
+
+
+def test_a_slot_that_matches_all_does_not_keep_the_verification_from_other_peers(
+    tmp_path: Path, doubt: Doubt
+) -> None:
+    mission, a = deal(tmp_path, plan()), places(1, 16, seed=1)
+    alice = Agent(mission / "alice", listen="127.0.0.1:0", verify=doubt, state_dir=tmp_path / "a")
+    feed(alice, 0, np.repeat(a, 12, axis=0))
+    with alice, bobs(mission, alice) as bob:
+        feed(bob, 0, a)
+        until(lambda: len(found(alice)) == 12 and taken(bob))
+        time.sleep(0.5)
+        assert alice._verifier._waiting.qsize() <= 2  # and one is looked at
+        doubt.ended.set()
+        until(lambda: alice.status()["galleries"][0]["state"] == "stopped")
+        time.sleep(0.5)
+        assert 3 <= len(found(alice, "rejected")) <= 5  # those that waited already
+
+
+def test_a_peer_that_begins_turn_after_turn_does_not_keep_a_robot_busy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, pause, take, count = deal(tmp_path, plan()), turns.Turns.pause, turns.Turns.take, [0]
+
+    def hasty(self: turns.Turns, longest: float) -> float:
+        return 0.0 if self._desk.robot == "bob" else pause(self, longest)
+
+    def counted(self: turns.Turns, session: Any) -> bool:
+        count[0] += self._desk.robot == "alice"
+        return take(self, session)
+
+    monkeypatch.setattr(turns.Turns, "pause", hasty)
+    monkeypatch.setattr(turns.Turns, "take", counted)
+    alice, bob = robots(mission)
+    with alice, bob:
+        until(lambda: count[0])
+        time.sleep(2.0)
+        assert count[0] < 60

@@ -92,3 +92,15 @@ class _None(Strikes):
     outstanding = 0  # type: ignore[assignment]
 
     def __init__(self) -> None: ...
+
+
+@given(st.integers(1, 300), st.integers(0, 6000), st.integers(0, 6000))
+def test_a_step_takes_a_second_s_share_of_the_budget_and_never_nothing(
+    waiting: int, own: int, theirs: int
+) -> None:
+    peer = Peer("bob", _None(), Rate(1_000_000, Clock()), Rate(60, Clock()))
+    peer.pairs.spend(1)
+    brings, takes = Allowance(peer, 3, print).shares(waiting, own, theirs)
+    pairs = brings * theirs + takes * own + brings * takes
+    assert brings and pairs <= max(1_000_000 // 60, own + theirs + 1)
+    assert takes or brings * (theirs + 1) + own > 1_000_000 // 60

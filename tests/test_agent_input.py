@@ -29,9 +29,10 @@ def test_a_line_is_read() -> None:
     ("text", "message"),
     [
         ("", "not JSON"),
-        ("[1]", "an object with keyframe and descriptors"),
+        ("[1]", "a line is an object such as"),
         ("[" * 100_000, "not JSON"),
-        (line(more=1), "an object with keyframe and descriptors"),
+        (line(descriptor=1), "a line has no 'descriptor'; did you mean 'descriptors'"),
+        ("{}", "a line needs keyframe"),
         (line(keyframe="3"), "an integer"),
         (line(descriptors=[0.6]), "keyframe 3: descriptors are an object"),
         (line(descriptors={"lidar": ["a"]}), "keyframe 3: the descriptor 'lidar' is not an array of numbers"),
@@ -104,7 +105,7 @@ def test_a_pickle_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     np.save(tmp_path / "1.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     watched = Watched(tmp_path)
     watched.watch.look()
-    assert not watched.taken and "1.npy is left out" in watched.refused[0]
+    assert not watched.taken and "1.npy cannot be read and is tried again" in watched.refused[0]
 
 
 def test_an_npy_file_needs_a_plan_with_one_descriptor(tmp_path: Path) -> None:
@@ -114,6 +115,14 @@ def test_an_npy_file_needs_a_plan_with_one_descriptor(tmp_path: Path) -> None:
     assert watched.refused == [
         "1.npy is left out: the plan has several descriptors: write NUMBER.npz with an array for each"
     ]
+
+
+@pytest.mark.parametrize("name", ["17_v2.npy", "1700000000.25.npy", "-1x.npy", "noname.npy"])
+def test_a_name_that_could_be_misread_is_refused(tmp_path: Path, name: str) -> None:
+    np.save(tmp_path / name, np.ones(2))
+    watched = Watched(tmp_path)
+    watched.watch.look()
+    assert not watched.taken and f"{name} is left out: its name is not a number" in watched.refused[0]
 
 
 def test_a_folder_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:

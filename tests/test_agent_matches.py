@@ -11,6 +11,7 @@ from protocols.agent.matches import Matches, Outcome
 from protocols.agent.news import News
 from protocols.agent.records import Records
 from protocols.agent.strikes import Strikes
+from spdz.foundations.errors import ProtocolViolation
 
 VECTOR = np.array([0.6, 0.8])
 
@@ -104,3 +105,14 @@ def test_galleries_and_peers_have_matches_of_their_own(records: Records, matches
     matches.found([(0, 0)])
     for other in (Matches(records, "carol", "lidar"), Matches(records, "bob", "camera")):
         assert other.pairs() == set() and other.trust([(0, 0)], 3) == [(0, 0)]
+
+
+def test_a_peer_s_number_is_of_one_keyframe(records: Records, matches: Matches) -> None:
+    camera = Matches(records, "bob", "camera")
+    matches.show([(1, Keyframe(7, VECTOR, b"scan", 1.0)), (2, Keyframe(7, -VECTOR, b"scan", 1.0))])
+    camera.show([(5, Keyframe(7, VECTOR, b"scan", 1.0))])
+    Matches(records, "carol", "lidar").show([(1, Keyframe(7, VECTOR, b"another", 1.0))])
+    for other in (Keyframe(7, VECTOR, b"another", 1.0), Keyframe(7, VECTOR, b"scan", 2.0)):
+        with pytest.raises(ProtocolViolation, match="two keyframes of the number 7"):
+            camera.show([(6, other)])
+    assert camera.shown([5, 6]) == {5}

@@ -9,6 +9,7 @@ import pytest
 from agent_helpers import bobs, deal, feed, found, honest, news, places, plan, robots, until
 
 from protocols.agent import Agent, Event, Meeting, RecordsError, Verdict, turns
+from spdz import MacCheckFailed
 
 UNIT = np.eye(16)[0]
 
@@ -27,11 +28,12 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"descriptors": {"lidar": UNIT[:8]}}, r"keyframe 1: .*shape \(16,\)"),
     ({"descriptors": {"lidar": "near the door"}}, "keyframe 1: .*lidar"),
     ({"descriptors": {"camera": UNIT}}, "keyframe 1: the plan has no descriptor 'camera'; it has lidar"),
-    ({"descriptors": {}}, "keyframe 1: no gallery"),
+    ({"descriptors": {}}, "keyframe 1: it can be compared with nothing: lidar needs lidar"),
     ({"keyframe": -1}, "an integer from 0"),
     ({"keyframe": True}, "an integer from 0"),
     ({"payload": b"x" * ((8 << 20) + 1)}, "a payload is at most 8 MiB"),
-    ({"payload": "text"}, "a payload is at most 8 MiB of bytes"),
+    ({"payload": "text"}, "keyframe 1: a payload is bytes, not str"),
+    ({"descriptors": UNIT}, "keyframe 1: descriptors are given by name"),
     ({"stamp": np.nan}, "stamp"),
     ({"stamp": 10**400}, "stamp"),
 ]
@@ -134,7 +136,57 @@ def test_a_verification_that_raises_rejects_that_match_alone(tmp_path: Path) -> 
         feed(bob, 0, a)
         until(lambda: found(alice, "verified") == {(1, 1)} and found(alice, "rejected") == {(0, 0)})
         (why,) = {match.why for match in news(alice) if match.state == "rejected"}
-    assert why == "the verification failed: ZeroDivisionError: oops"
+    assert why == "the verification raised ZeroDivisionError: oops"
+
+
+def test_a_failed_mac_check_stops_the_peer_in_all_galleries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission = deal(tmp_path, plan())
+    take = turns.Turns.take
+
+    def cheated(self: turns.Turns, session: Any) -> bool:
+        if self._desk.robot == "alice":
+            raise MacCheckFailed("an opened value does not carry a valid MAC")
+        return take(self, session)
+
+    monkeypatch.setattr(turns.Turns, "take", cheated)
+    alice, bob = robots(mission)
+    with alice, bob:
+        until(lambda: alice.status()["galleries"][0]["state"] == "destroyed")
+        until(lambda: alice.status()["galleries"][0]["strikes"] == 3)
+        assert alice.status()["galleries"][0]["why"]["code"] == "destroyed"
+
+
+def test_true_and_false_are_verdicts(tmp_path: Path) -> None:
+    mission = deal(tmp_path, plan())
+    a = places(2, 16, seed=1)
+    alice, bob = robots(mission, verify=lambda meeting: np.bool_(meeting.own.id == 1))
+    with alice, bob:
+        feed(alice, 0, a)
+        feed(bob, 0, a)
+        until(lambda: found(alice, "verified") == {(1, 1)} and found(alice, "rejected") == {(0, 0)})
+
+
+def test_a_peer_that_is_stopped_is_told_so_and_an_agent_can_begin_with_forgiving_it(tmp_path: Path) -> None:
+    mission = deal(tmp_path, plan(strikes=1))
+    a, events = places(1, 16, seed=1), list[str]()
+    alice = Agent(
+        mission / "alice", listen="127.0.0.1:0", verify=lambda meeting: False, state_dir=tmp_path / "a"
+    )
+    bob = bobs(mission, alice, on_event=lambda event: events.append(event.text))
+    with alice, bob:
+        feed(alice, 0, a)
+        feed(bob, 0, a)
+        until(lambda: any("alice has stopped with this robot" in text for text in events))
+        until(lambda: "alice says rejected: lidar keyframe 0" in events)
+        alice.close()
+        again: list[Event] = []
+        with Agent(mission / "alice", forgive=["bob"], listen="127.0.0.1:0", on_event=again.append) as alice:
+            assert alice.status()["galleries"][0]["strikes"] == 0
+            assert not any(event.name == "stopped" for event in again)
+        with pytest.raises(ValueError, match="'carol' is no peer of alice"):
+            Agent(mission / "alice", forgive=["carol"], listen="127.0.0.1:0")
 
 
 def test_a_budget_of_pairs_is_kept_and_told(tmp_path: Path) -> None:
@@ -215,3 +267,11 @@ def test_why_nothing_matched(tmp_path: Path) -> None:
             until(lambda: code(alice) == "no-peer-keyframes")
             feed(bob, 0, places(1, 16, seed=2))
             until(lambda: code(alice) == "below-threshold")
+
+
+@pytest.mark.parametrize(("security", "told"), [("malicious", 0), ("semi-honest", 1)])
+def test_a_semi_honest_mission_is_told_to_be_one(tmp_path: Path, security: str, told: int) -> None:
+    events: list[Event] = []
+    mission = deal(tmp_path, plan(security=security))
+    Agent(mission / "alice", listen="127.0.0.1:0", on_event=events.append).close()
+    assert sum("semi-honest" in event.text for event in events) == told

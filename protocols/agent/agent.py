@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -15,17 +15,16 @@ import numpy.typing as npt
 from protocols.agent.budgets import Rate
 from protocols.agent.desk import Desk, Peer
 from protocols.agent.events import Event, Hub, Match
-from protocols.agent.keyframe import Keyframe, Verify, check_id, is_stamp
-from protocols.agent.keyframes import Described, Keyframes
+from protocols.agent.intake import Intake
+from protocols.agent.keyframe import Verify
+from protocols.agent.keyframes import Keyframes
 from protocols.agent.link import Link
 from protocols.agent.news import News
 from protocols.agent.reaching import Reaching
 from protocols.agent.records import Records
-from protocols.agent.showing import MAX_PAYLOAD
 from protocols.agent.strikes import Strikes
 from protocols.agent.verifier import Verifier
-from protocols.mission import Folder, GalleryPlan
-from spdz.session.admission import quantised
+from protocols.mission import Folder, Mission
 
 Self = TypeVar("Self", bound="Agent")
 
@@ -56,6 +55,7 @@ class Agent:
         peers: Where peers listen, by name, in place of the plan's addresses.
         on_event: Called with every event by the thread in which it happens; it must return soon.
         strikes: Strikes at which a peer is not compared with any more; the plan's if not given.
+        forgive: Peers whose strikes are forgotten before it begins.
         grace: Seconds that a connected peer may take to show its half of a match.
         timeout: Seconds that one round with a peer may take.
         state_dir: Where the galleries keep their second record of what was used.
@@ -75,6 +75,7 @@ class Agent:
         peers: Mapping[str, str] | None = None,
         on_event: Callable[[Event], None] | None = None,
         strikes: int | None = None,
+        forgive: Collection[str] = (),
         grace: float = 30.0,
         timeout: float = 30.0,
         state_dir: str | Path | None = None,
@@ -89,8 +90,9 @@ class Agent:
             raise ValueError(
                 "strikes are 1 or more: a peer that may have none could not be compared with at all"
             )
-        self._galleries: dict[str, GalleryPlan] = {gallery.name: gallery for gallery in plan.galleries}
-        self._terms = {name: gallery.terms(plan.security) for name, gallery in self._galleries.items()}
+        if wrong := set(forgive) - set(self.peers):
+            raise ValueError(f"{sorted(wrong)[0]!r:.40} is no peer of {self.robot}: {', '.join(self.peers)}")
+        self._intake = Intake(plan)
         self._records = Records(self.folder.path, self.folder.mission_id)
         self._news, self._hub = News(self._records), Hub(on_event)
         self._desk = Desk(
@@ -104,6 +106,8 @@ class Agent:
             timeout,
             state_dir=None if state_dir is None else Path(state_dir),
         )
+        for name in forgive:
+            Strikes(self._records, name).forgive()
         self._stopped = threading.Event()
         self._last: dict[str, Any] | None = None  # the status when it was closed
         try:
@@ -118,19 +122,15 @@ class Agent:
                 peer,
                 gallery,
                 self.folder.tape(peer.name, gallery),
-                self._terms[gallery],
+                terms,
                 self._reaching.of(peer.name, gallery),
                 self._verifier,
             )
             for peer in self._peers()
-            for gallery in self._galleries
+            for gallery, terms in self._intake.terms.items()
         ]
-        if plan.security != "malicious":
-            self._desk.tell(
-                "warning",
-                "this mission is semi-honest: a peer that deviates can make any pair match, and then sees "
-                "this robot's keyframes",
-            )
+        for warning in _warnings(plan, verify):
+            self._desk.tell("warning", warning)
         for link in self._links:
             link.start()
 
@@ -185,35 +185,13 @@ class Agent:
             ValueError: for what does not suit the plan, naming it; nothing is kept.
             RecordsError: if it cannot be written; nothing is kept.
         """
-        check_id(keyframe)
-        if not isinstance(payload, (bytes, bytearray, memoryview)) or len(payload) > MAX_PAYLOAD:
-            raise ValueError(f"keyframe {keyframe}: a payload is at most {MAX_PAYLOAD >> 20} MiB of bytes")
-        if stamp is not None and not is_stamp(stamp):
-            raise ValueError(f"keyframe {keyframe}: its stamp is not finite")
-        try:
-            described = self._described(descriptors)
-        except ValueError as error:
-            raise ValueError(f"keyframe {keyframe}: {error}") from error
+        taken, described = self._intake.check(keyframe, descriptors, payload, stamp)
         if self._stopped.is_set():
             raise ValueError(f"keyframe {keyframe}: this agent has ended")
-        new = self._desk.keyframes.add(Keyframe(keyframe, None, bytes(payload), stamp), described)
+        new = self._desk.keyframes.add(taken, described)
         for link in self._links:
             if link.gallery in new:
                 link.wake()
-
-    def _described(self, descriptors: Mapping[str, npt.ArrayLike]) -> dict[str, Described]:
-        known = {one.name for gallery in self._galleries.values() for one in gallery.descriptors}
-        if unknown := set(descriptors) - known:
-            names = ", ".join(sorted(known))
-            raise ValueError(f"the plan has no descriptor {sorted(unknown)[0]!r:.40}; it has {names}")
-        described = {}
-        for name, gallery in self._galleries.items():
-            if all(one.name in descriptors for one in gallery.descriptors):
-                vector = gallery.vector({one.name: descriptors[one.name] for one in gallery.descriptors})
-                described[name] = Described(vector, quantised(self._terms[name], vector[None])[0])
-        if not described:
-            raise ValueError("no gallery of the plan has all the descriptors that it needs")
-        return described
 
     def events(self, timeout: float | None = None) -> Iterator[Event]:
         """Events as they come, until none comes for ``timeout`` seconds (None: for ever) or it is stopped."""
@@ -297,3 +275,17 @@ class Agent:
             )
             for name in self.peers
         ]
+
+
+def _warnings(plan: Mission, verify: Verify | None) -> Iterator[str]:
+    """What weakens an agent's protection, at its start."""
+    if plan.security != "malicious":
+        yield (
+            "this mission is semi-honest: a peer whose program was changed matches whatever it likes, and is "
+            "then shown it. If robots may be captured, deal malicious"
+        )
+    if verify is None:
+        yield (
+            "there is no verification: every match counts as verified whose half the peer has shown, "
+            "whatever that is, and strikes protect little"
+        )

@@ -7,6 +7,9 @@ from collections.abc import Callable
 
 from protocols.agent.desk import Peer
 
+_SMALL = 4096
+"""Pairs that a step may always have: smaller ones would cost rounds for nothing."""
+
 
 class Allowance:
     """What one side grants a peer.
@@ -55,11 +58,13 @@ class Allowance:
             open_pairs: Pairs of these that are still to be compared.
 
         Returns:
-            Both, such that the pairs that they make with each other and with what is held are allowed; at
-            least one where nothing was spent yet: a budget below one descriptor's pairs would stop all.
+            Both, such that the pairs that they make with each other and with what is held are allowed, and no
+            more than a second's share of the budget, or one descriptor's: strikes are counted between steps,
+            and what matches within one is learned before it can be a strike. At least one where nothing was
+            spent yet: a budget below one descriptor's pairs would stop all.
         """
         least = int(self._peer.pairs.untouched and not open_pairs)
-        pairs = max(0, self.pairs - open_pairs)
+        pairs = min(max(0, self.pairs - open_pairs), max(_SMALL, self._peer.pairs.second, own + theirs + 1))
         # n more on both sides make n (own + theirs) + n^2 pairs.
         both = int((math.sqrt((own + theirs) ** 2 + 4 * pairs) - (own + theirs)) / 2)
         brings = min(waiting, max(least, both)) if pairs else 0

@@ -30,6 +30,11 @@ class Rate:
         return max(0, self._most - self._sum)
 
     @property
+    def second(self) -> int:
+        """How many of them are a second's share."""
+        return int(self._most / WINDOW)
+
+    @property
     def untouched(self) -> bool:
         """Whether nothing was spent in the last minute."""
         self._forget()

@@ -49,9 +49,9 @@ def add_agent(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     arguments = commands.add_parser(
         "agent",
         help="stream keyframes, match them with all peers, and verify what matches",
-        description="Runs one robot of a mission: takes keyframes, compares their descriptors privately with "
-        "those of all peers, shows them the keyframes of what matches, and goes on after lost links and "
-        "restarts.",
+        description="Runs one robot of a mission: takes keyframes, compares their descriptors\n"
+        "privately with those of all peers, shows them the keyframes of what matches, and goes on\n"
+        "after lost links and restarts.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -87,7 +87,7 @@ def add_agent(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         dest="quiet_seconds",
         type=float,
         metavar="S",
-        help="end when all is compared and settled, and nothing new has come for so many seconds",
+        help="end when nothing new has come for so many seconds, and nothing waits for a peer that is there",
     )
     add("--state-dir", type=Path, metavar="DIR", help="where the second record of what was used is kept")
     add(
@@ -110,6 +110,7 @@ def run_agent(options: argparse.Namespace) -> int:
             listen=options.listen,
             peers=dict(map(peer_address, options.peer)),
             strikes=options.strikes,
+            forgive=() if options.forgive is None else (options.forgive,),
             grace=options.grace,
             timeout=options.timeout,
             state_dir=options.state_dir,
@@ -118,15 +119,6 @@ def run_agent(options: argparse.Namespace) -> int:
         say_error(NAME, type(error).__name__, str(error), as_json=options.json)
         return 1 if isinstance(error, SpdzError) else 2
     with agent:
-        try:
-            if options.forgive is not None:
-                count = agent.forgive(options.forgive)
-                text = f"{count} strikes of {options.forgive} are forgiven"
-                event = Event("forgiven", text, options.forgive)
-                say_event(event, as_json=options.json, quiet=options.quiet)
-        except ValueError as error:
-            say_error(NAME, "ValueError", str(error), as_json=options.json)
-            return 2
         _Run(agent, options).until_the_end()
     return 0
 
@@ -138,8 +130,9 @@ class _Run:
         self._agent, self._options = agent, options
         self._ended = threading.Event()
         self._line = StatusLine(quiet=options.quiet or options.json)
-        self._state: list[tuple[int, int, bool]] = []
+        self._state: list[tuple[str, int, int, int]] = []
         self._since = time.monotonic()
+        self._taken: list[int] = []  # since it was last told
 
     def until_the_end(self) -> None:
         """Feed it and print what it tells until it is to end."""
@@ -175,6 +168,7 @@ class _Run:
 
     def _add(self, given: Given) -> None:
         self._agent.add(given.keyframe, given.descriptors, given.payload, given.stamp)
+        self._taken.append(given.keyframe)
 
     def _refuse(self, why: str) -> None:
         self._show(Event("refused", why))
@@ -182,13 +176,17 @@ class _Run:
     def _watch(self) -> None:
         names = [one.name for one in self._agent.folder.mission.descriptors]
         only = names[0] if len(names) == 1 else None
-        watch = FolderWatch(self._options.watch, only, self._add, self._refuse)
+        folder = self._options.watch
+        watch, told = FolderWatch(folder, only, self._add, self._refuse), ""
         while not self._ended.is_set():
+            trouble = "" if folder.is_dir() else f"{folder} is no folder (yet): waiting for it"
             try:
                 watch.look()
             except OSError as error:
-                self._refuse(f"the folder {self._options.watch} cannot be read: {error}")
-                self._ended.wait(10 * _POLL)
+                trouble = trouble or f"the folder {folder} cannot be read: {error.strerror or error}"
+            if trouble and trouble != told:
+                self._refuse(trouble)
+            told = trouble
             self._ended.wait(_POLL)
 
     def _read(self) -> None:
@@ -210,12 +208,13 @@ class _Run:
             self._refuse(f"line {number} is left out: {error}")
 
     def _is_quiet(self, now: float) -> bool:
-        """Whether all is compared and settled, and has been for as long as was asked for."""
+        """Whether nothing new has come for as long as was asked for, and nothing waits for who is there."""
         if self._options.quiet_seconds is None:
             return False
         galleries = self._agent.status()["galleries"]
-        state = [(one["held"], one["peer_held"], one["settled"]) for one in galleries]
-        if state != self._state or not all(one["settled"] and one["held"] for one in galleries):
+        state = [(one["state"], one["keyframes"], one["held"], one["peer_held"]) for one in galleries]
+        busy = any(one["state"] == "connected" and not one["settled"] for one in galleries)
+        if busy or state != self._state:
             self._state, self._since = state, now
         return bool(now - self._since >= self._options.quiet_seconds)
 
@@ -238,6 +237,12 @@ class _Run:
         say_event(event, as_json=self._options.json, quiet=self._options.quiet)
 
     def _show_numbers(self) -> None:
+        taken, self._taken = self._taken, []
+        if taken:
+            many = (
+                f"{len(taken)} keyframes ({taken[0]} to {taken[-1]})" if taken[1:] else f"keyframe {taken[0]}"
+            )
+            self._show(Event("taken", f"took {many}", fields={"keyframes": len(taken)}))
         status = self._agent.status()
         self._line.show(status)
         if self._options.metrics is not None:
@@ -248,7 +253,9 @@ class _Run:
 
     def _report(self) -> None:
         """Say at the end why nothing matched, where nothing did."""
+        told = set[str]()
         for one in self._agent.status()["galleries"]:
-            if one["why"]["text"]:
-                fields = {"code": one["why"]["code"]}
-                self._show(Event("why", one["why"]["text"], one["peer"], one["gallery"], fields))
+            text, fields = one["why"]["text"], {"code": one["why"]["code"]}
+            if text and (self._options.json or text not in told):
+                told.add(text)
+                self._show(Event("why", text, one["peer"], one["gallery"], fields))

@@ -51,11 +51,11 @@ class Match:
     peer_state: str | None = None
 
     def __str__(self) -> str:
-        peer_keyframe = "?" if self.peer_keyframe is None else self.peer_keyframe
-        reason = f" ({printable(self.why)})" if self.why else ""
-        return (
-            f"{self.state}: {self.gallery} keyframe {self.keyframe} and {self.peer}'s {peer_keyframe}{reason}"
+        theirs = (
+            f"one of {self.peer}'s" if self.peer_keyframe is None else f"{self.peer}'s {self.peer_keyframe}"
         )
+        reason = f" ({printable(self.why)})" if self.why else ""
+        return f"{self.state}: {self.gallery} keyframe {self.keyframe} and {theirs}{reason}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,12 @@ def add_evidence(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--mission", type=Path, required=True, metavar="DIR", help="the robot's folder, such as mission/alice"
     )
     add("--peer", metavar="NAME", help="of one peer alone")
-    add("--out", type=Path, metavar="FOLDER", help="write MATCH.npz with own and peer's vector and payload")
+    add(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="write MATCH.npz with the keyframe, vector and payload that the peer has shown",
+    )
     add("--json", action="store_true", help="one JSON object a line")
     arguments.set_defaults(run=_run)
 

@@ -2,8 +2,8 @@
 
 ``17.npz`` has an array a descriptor, perhaps ``stamp`` and ``payload`` (uint8); ``17.npy`` is the only
 descriptor of a plan that has one; ``*.json`` and ``*.jsonl`` have the lines of :mod:`protocols.agent.lines`.
-The number in a name is the keyframe's. Files may be renamed into the folder or written in place: one that
-cannot be read is tried again when it has changed, and named when it has not for a while.
+The name is the keyframe's number, perhaps after letters (``kf_17``). Files may be renamed into the folder or
+written in place: one that cannot be read is tried again when it has changed, and named when it has not.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from protocols.agent.lines import MAX_LINE, Given, read_line
 PATIENCE = 5.0
 """Seconds without a change after which a file that cannot be read is refused by name."""
 _ENDINGS = (".npz", ".npy", ".json", ".jsonl")
-_NUMBER = re.compile(r"(\d+)\D*$")
+_NAME = re.compile(r"[A-Za-z_-]*?(\d+)")
 _MAX_FILE = 256 << 20
 
 
@@ -46,7 +47,7 @@ class FolderWatch:
         folder: The folder; it need not be there yet.
         descriptor: What the array of an ``.npy`` file is, if there is but one descriptor.
         add: Takes a keyframe; its ValueError refuses that file.
-        refuse: Called with a sentence that names a file that is given up.
+        refuse: Called with a sentence that names a file that is not taken, or not yet.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class FolderWatch:
         except NotWhole as error:
             if now - known.since < PATIENCE:
                 return False
-            self._refuse(f"{path.name} is left out: {error}")
+            self._refuse(f"{path.name} cannot be read and is tried again when it changes: {error}")
         except ValueError as error:
             self._refuse(f"{path.name} is left out: {error}")
         known.done = True
@@ -109,16 +110,17 @@ def read_file(path: Path, descriptor: str | None) -> list[Given]:
         if not text.endswith((b"\n", b"}")) or len(text) > MAX_LINE:
             raise NotWhole("its last line does not end")
         return [read_line(line) for line in text.splitlines() if line.strip()]
-    number = _NUMBER.search(path.stem)
+    number = _NAME.fullmatch(path.stem)
     if number is None:
-        raise ValueError("its name has no number: call it NUMBER.npz")
+        raise ValueError(f"its name is not a number: call it NUMBER{path.suffix} or NAME_NUMBER{path.suffix}")
     try:
         with path.open("rb") as file:
             loaded = np.load(file, allow_pickle=False)
             whole = isinstance(loaded, np.ndarray)
             arrays = {None: loaded} if whole else {name: loaded[name] for name in loaded.files}
     except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise NotWhole(f"it cannot be read as {path.suffix}: {error!s:.80}") from None
+        reason = str(error).partition(" If you trust")[0].partition("\n")[0].rstrip(".")
+        raise NotWhole(f"it is no whole {path.suffix} file of numbers ({reason:.80})") from None
     if None in arrays:
         if descriptor is None:
             raise ValueError("the plan has several descriptors: write NUMBER.npz with an array for each")
@@ -138,7 +140,13 @@ def read_file(path: Path, descriptor: str | None) -> list[Given]:
     ]
 
 
+def _stamp(array: Any) -> float:
+    if array.size != 1 or array.dtype.kind not in "iuf":
+        raise ValueError("its stamp is not a number of seconds")
+    return float(array.reshape(-1)[0])
+
+
 def _order(name: str) -> tuple[int, str]:
     """Files in the order of their numbers."""
-    number = _NUMBER.search(Path(name).stem)
+    number = _NAME.fullmatch(Path(name).stem)
     return (int(number[1]) if number else -1, name)

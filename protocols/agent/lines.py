@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from protocols.agent.keyframe import check_id, is_stamp
+from protocols.mission.fields import nearest, shown
 from spdz.foundations.types import FloatArray
 
 _FIELDS = ("keyframe", "descriptors", "payload", "stamp")
@@ -40,10 +41,14 @@ def read_line(line: str | bytes) -> Given:
         entry = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"a line is not JSON: {error!s:.80}") from None
-    if not isinstance(entry, dict) or not {"keyframe", "descriptors"} <= set(entry) <= set(_FIELDS):
-        raise ValueError(
-            f"a line is an object with keyframe and descriptors, perhaps {' and '.join(_FIELDS[2:])}"
-        )
+    if not isinstance(entry, dict):
+        raise ValueError('a line is an object such as {"keyframe": 17, "descriptors": {"lidar": [0.1, ...]}}')
+    for name in entry:
+        if name not in _FIELDS:
+            raise ValueError(f"a line has no {shown(name)}; {nearest(str(name), _FIELDS)}")
+    for name in _FIELDS[:2]:
+        if name not in entry:
+            raise ValueError(f"a line needs {name}")
     number = check_id(entry["keyframe"])
     try:
         return Given(

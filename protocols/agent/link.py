@@ -34,6 +34,8 @@ _SHORTEST, _LONGEST = 0.1, 5.0
 """Seconds before another try to connect, doubled while tries bring nothing that lasts."""
 _SLOW = 10.0
 """Seconds before another try where somebody has to do something first."""
+_IDLE = 0.05
+"""Seconds between a turn that brought nothing and the next: a peer that has much to say costs little."""
 HEARTBEAT = 10.0
 """Seconds without a turn after which one is made anyway: so a dead line is noticed."""
 
@@ -183,6 +185,8 @@ class Link:
 
     def _wait(self, session: Any) -> None:
         """Idle until there is a reason for a turn."""
+        if not self._turns.moved:
+            self._desk.stop.wait(_IDLE)
         until = time.monotonic() + self._turns.pause(HEARTBEAT)
         while (left := until - time.monotonic()) > 0 and not self._desk.stop.is_set():
             if self._reach.is_called():
@@ -199,8 +203,8 @@ class Link:
             self._state, self._why = "stopped", strikes[-1]
             self._tell(
                 "stopped",
-                f"{self.peer} has {len(strikes)} strikes (the last: {strikes[-1]}): it is not compared with "
-                f"until you say so: python -m spdz agent --forgive {self.peer}, or agent.forgive()",
+                f"{self.peer} has {len(strikes)} strikes and is not compared with any more (the last: "
+                f"{strikes[-1]}): start this agent again with --forgive {self.peer}, or call agent.forgive()",
                 strikes=len(strikes),
             )
         self._desk.stop.wait(1.0)
@@ -209,9 +213,9 @@ class Link:
     # -- telling -------------------------------------------------------------------------------------
 
     def _note_left(self) -> None:
-        if not self._desk.stop.is_set():
-            self._state, self._why = "waiting", f"{self.peer} has ended"
-            self._tell("left", f"{self.peer} has ended")
+        if self._turns.farewell:
+            self._state, self._why = "waiting", self._turns.farewell
+            self._tell("left", self._turns.farewell)
 
     def _lost(self, error: SpdzError, met: bool) -> None:
         if self._desk.stop.is_set():
@@ -220,11 +224,13 @@ class Link:
         if met:
             self._tell("lost", f"lost {self.peer}: {error}")
         else:
-            self._teller.tell(str(error))
+            self._teller.tell(f"{self.peer}: {error}")
 
     def _hold_against(self, error: SpdzError, state: str, name: str) -> None:
         self._note(state, name, error)
-        self._peer.strikes.add(f"{type(error).__name__}: {error}")
+        # A failed MAC check is a cheat, or a damaged tape: the peer is met again when somebody has looked.
+        for _ in range(self._desk.strikes if isinstance(error, MacCheckFailed) else 1):
+            self._peer.strikes.add(f"{type(error).__name__}: {error}")
 
     def _note(self, state: str, name: str, error: Exception) -> None:
         """Tell an error, once as long as it is the same."""

@@ -137,16 +137,30 @@ class Matches:
         return {slot for (slot,) in rows} & set(slots)
 
     def show(self, shown: Iterable[tuple[int, Keyframe]]) -> None:
-        """Keep what the peer has shown of its slots."""
+        """Keep what the peer has shown of its slots.
+
+        Raises:
+            ProtocolViolation: if it has shown another keyframe of the same number; nothing is kept.
+        """
         with self._records.transaction():
             for slot, keyframe in shown:
                 if keyframe.vector is None:
                     raise ValueError("what a peer shows has a vector")
+                self._refuse_another(keyframe)
                 vector = np.asarray(keyframe.vector, dtype="<f8").tobytes()
                 self._records.run(
                     "INSERT OR IGNORE INTO opened VALUES (?, ?, ?, ?, ?, ?)",
                     *(self._link, slot, keyframe.id, keyframe.stamp, vector, keyframe.payload),
                 )
+
+    def _refuse_another(self, keyframe: Keyframe) -> None:
+        """Refuse a second keyframe of a peer's number: whoever draws a map goes by it."""
+        query = (
+            "SELECT count(*) FROM opened JOIN links USING (link) JOIN links own ON own.link = ? "
+            "WHERE links.peer = own.peer AND keyframe = ? AND (payload != ? OR stamp IS NOT ?)"
+        )
+        if self._records.all(query, self._link, keyframe.id, keyframe.payload, keyframe.stamp) != [(0,)]:
+            raise ProtocolViolation(f"the peer has shown two keyframes of the number {keyframe.id}")
 
     def theirs(self, slot: int) -> Keyframe | None:
         """What the peer has shown of a slot."""
@@ -157,15 +171,19 @@ class Matches:
 
     # -- verifying -----------------------------------------------------------------------------------
 
-    def unverified(self) -> list[tuple[int, Pair, int | None]]:
-        """Matches that both robots have shown and no verdict is given of: number, slots, own keyframe."""
-        rows = self._records.all(
-            "SELECT m.match, m.slot, m.peer_slot, m.keyframe FROM matches m "
+    def unverified(self, most: int) -> list[tuple[int, int, int]]:
+        """The oldest matches that both robots have shown and no verdict is on.
+
+        Returns:
+            Number, the peer's slot, own keyframe.
+        """
+        return self._records.all(
+            "SELECT m.match, m.peer_slot, m.keyframe FROM matches m "
             "JOIN opened o ON o.link = m.link AND o.slot = m.peer_slot "
-            "WHERE m.link = ? AND m.state IN ('candidate', 'withheld') ORDER BY m.match",
-            self._link,
+            "WHERE m.link = ? AND m.state IN ('candidate', 'withheld') AND m.keyframe IS NOT NULL "
+            "ORDER BY m.match LIMIT ?",
+            *(self._link, most),
         )
-        return [(match, (slot, peer_slot), keyframe) for match, slot, peer_slot, keyframe in rows]
 
     def settle(self, match: int, verdict: Verdict) -> Match:
         """Keep what the verification said; returns the news of it."""
@@ -221,14 +239,23 @@ class Matches:
                     *(self._link, *one.pair, one.state),
                 )
 
-    def hear(self, outcomes: Sequence[Outcome]) -> None:
-        """Keep the peer's verdicts; those of pairs that are no matches here are nothing."""
+    def hear(self, outcomes: Sequence[Outcome]) -> list[tuple[int, Outcome]]:
+        """Keep the peer's verdicts; those of pairs that are no matches here are nothing.
+
+        Returns:
+            What is new: the match's number and the verdict.
+        """
+        new = []
         with self._records.transaction():
             for one in outcomes:
-                self._records.run(
-                    "UPDATE matches SET peer_state = ? WHERE link = ? AND slot = ? AND peer_slot = ?",
+                changed = self._records.run(
+                    "UPDATE matches SET peer_state = ?1 WHERE link = ?2 AND slot = ?3 AND peer_slot = ?4 "
+                    "AND peer_state IS NOT ?1",
                     *(one.state, self._link, *one.pair),
                 )
+                if changed:
+                    new.append((self._number(one.pair), one))
+        return new
 
     def _number(self, pair: Pair) -> int:
         query = "SELECT match FROM matches WHERE link = ? AND slot = ? AND peer_slot = ?"

@@ -41,7 +41,9 @@ def _lines(status: Mapping[str, Any]) -> Iterator[str]:
     for name, about in _GAUGES.items():
         yield f"# HELP spdz_{name} {about}"
         yield f"# TYPE spdz_{name} gauge"
-        yield from (f"spdz_{name}{{{labels}}} {one[name]}" for labels, one in galleries)
+        yield from (
+            f"spdz_{name}{{{labels}}} {one[name]}" for labels, one in galleries if one[name] is not None
+        )
     yield "# HELP spdz_connected Whether the peer is connected."
     yield "# TYPE spdz_connected gauge"
     yield from (f"spdz_connected{{{labels}}} {int(one['state'] == 'connected')}" for labels, one in galleries)

@@ -28,7 +28,7 @@ def why_nothing(peer: str, state: str, why: str, counts: Mapping[str, Any]) -> d
 def _reason(peer: str, state: str, why: str, counts: Mapping[str, Any], found: int) -> tuple[str, str]:
     matches = counts["matches"]
     if state in ("stopped", "destroyed", "refused"):
-        return state, f"{peer} is not compared with: {why}"
+        return state, f"{peer} is not compared with any more: {why}"
     if counts["budget_spent"]:
         return "budget-spent", f"this minute's budget with {peer} is spent"
     if not counts["keyframes"]:

@@ -22,7 +22,8 @@ MOST_OUTCOMES = 64
 """Most verdicts that are told in a turn."""
 
 _NUMBERS = ("new", "due", "room")
-_FLAGS = ("open", "leave", "hold")
+_FLAGS = ("open", "hold")
+_LEAVING = ("", "ended", "struck")
 _STATES = ("verified", "rejected")
 _KEYS = {"new", "due", "room", "open", "want", "outcomes", "leave", "hold"}
 
@@ -38,7 +39,7 @@ class Saying:
         open: Whether pairs of filled slots wait to be compared on this side.
         want: Matches (own slot, peer's slot) whose other half it has not seen.
         outcomes: Its verdicts that the peer has perhaps not heard.
-        leave: Whether it ends now.
+        leave: Empty, or why it ends now: ``"ended"``, or ``"struck"`` if the peer has too many strikes.
         hold: Whether nothing is to be compared in this turn: the pairs that wait are more than may be now.
     """
 
@@ -48,7 +49,7 @@ class Saying:
     open: bool
     want: Sequence[Pair]
     outcomes: Sequence[Outcome]
-    leave: bool
+    leave: str
     hold: bool
 
     def as_json(self) -> dict[str, Json]:
@@ -78,7 +79,11 @@ class Saying:
         if set(note) != _KEYS:
             raise ProtocolViolation(_MALFORMED)
         numbers = all(type(note[name]) is int and 0 <= note[name] <= 1 << 32 for name in _NUMBERS)
-        if not numbers or any(type(note[name]) is not bool for name in _FLAGS):
+        if (
+            not numbers
+            or any(type(note[name]) is not bool for name in _FLAGS)
+            or note["leave"] not in _LEAVING
+        ):
             raise ProtocolViolation(_MALFORMED)
         outcomes = []
         for entry in _entries(note["outcomes"], MOST_OUTCOMES, 3):

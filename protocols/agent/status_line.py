@@ -42,6 +42,6 @@ def line(status: Mapping[str, Any]) -> str:
         news = f", {verified} verified" if verified else ""
         news += f", {others} other matches" if others else ""
         parts.append(
-            f"{one['peer']}/{one['gallery']} {one['state']}: {one['held']} x {one['peer_held']}{news}"
+            f"{one['peer']}/{one['gallery']} {one['state']}: {one['keyframes']} x {one['peer_held']}{news}"
         )
     return " | ".join(parts)

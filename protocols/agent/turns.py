@@ -14,14 +14,18 @@ from protocols.agent.desk import Desk, Peer
 from protocols.agent.events import Event
 from protocols.agent.keyframe import Keyframe, Meeting, Verdict
 from protocols.agent.keyframes import Slots, digest_of
-from protocols.agent.matches import Matches, Pair
+from protocols.agent.matches import Matches, Outcome, Pair
 from protocols.agent.saying import MOST_OUTCOMES, MOST_PAIRS, TOGETHER, Saying
 from protocols.agent.showing import show
 from protocols.agent.verifier import Verifier
-from spdz.foundations.types import IntArray
+from spdz.foundations.types import IntArray, Json
 from spdz.readings.gallery import Terms
 from spdz.session import Block, GallerySession, Step
 
+_FAREWELLS = {
+    "ended": "{peer} has ended",
+    "struck": "{peer} has stopped with this robot: too many matches that it could not verify",
+}
 _AGAIN = 1.0
 """Seconds before what the peer would not do now is asked for again."""
 
@@ -36,6 +40,10 @@ class Turns:
         terms: What it is for.
         verifier: Gives verdicts.
         wake: Has a turn made soon.
+
+    Attributes:
+        farewell: Why the peer has left, for people; empty if this side has.
+        moved: Whether anything was compared, or shown by the peer, in the last turn.
     """
 
     def __init__(
@@ -49,14 +57,16 @@ class Turns:
         self._verifier, self._wake = verifier, wake
         self._waiting: list[IntArray] = []
         self._capacity = (0, 0)
-        self._known: dict[int, int | None] = {}
+        self._known = self._slots.known()
         self._true: set[Pair] = set()
         self._asked: dict[Pair, float] = {}  # seconds on connections
-        self._held = [0, 0]
-        self._left = 0
+        self._held = [len(self._known), 0]
+        self._left: int | None = None  # known when the peer was met
         self._sent = self._rounds = self._compared = 0
         self._ask_from = self._bring_from = self._looked = 0.0  # not before, and when, on the monotonic clock
         self._full = self._open = self._yields = False
+        self.farewell = ""
+        self.moved = False
 
     def begin(self, session: GallerySession, waiting: list[IntArray]) -> None:
         """Take up what a new connection brings: slots that were filled, results that were missed.
@@ -78,9 +88,11 @@ class Turns:
         """One turn; returns False when one of the two has ended."""
         saying = self._saying(session)
         heard = Saying.read(session.exchange_note(saying.as_json()), self._capacity)
+        self.moved = False
         self._matches.told(saying.outcomes)
-        self._matches.hear(heard.outcomes)
+        self._hear(heard.outcomes)
         if saying.leave or heard.leave:
+            self.farewell = "" if saying.leave else _FAREWELLS[heard.leave].format(peer=self._peer.name)
             return False
         wanted = list(dict.fromkeys((*saying.want, *heard.want)))
         mine, theirs = min(saying.new, heard.room, TOGETHER), min(heard.new, saying.room, TOGETHER)
@@ -132,6 +144,8 @@ class Turns:
     # -- a turn --------------------------------------------------------------------------------------
 
     def _saying(self, session: GallerySession) -> Saying:
+        # Looked at before the verdicts are: who leaves because of one tells it.
+        leaves = "ended" if self._desk.stop.is_set() else "struck" if self._allowance.struck else ""
         want, outcomes = self._wanted(), self._matches.untold(MOST_OUTCOMES)
         fresh = len(self._slots.waiting(map(digest_of, self._waiting), TOGETHER))
         self._left, self._open = session.room, session.unfinished
@@ -145,7 +159,6 @@ class Turns:
         waiting = 0 if self._yields else len(self._waiting) + min(fresh, self._left)
         held = (self._held[0] - due, self._held[1])
         brings, takes = self._allowance.shares(min(due + waiting, TOGETHER), *held, pairs)
-        leaves = self._desk.stop.is_set() or self._allowance.struck
         hold = self._allowance.holds(pairs)
         return Saying(max(due, brings), due, min(takes, TOGETHER), self._open, want, outcomes, leaves, hold)
 
@@ -170,6 +183,7 @@ class Turns:
     def _block(self, session: GallerySession, block: Block) -> None:
         self._reconcile(session)
         self._peer.pairs.spend(block.results.size)
+        self.moved = True
         self._find([block])
 
     def _find(self, blocks: Sequence[Block]) -> None:
@@ -244,10 +258,19 @@ class Turns:
         finally:
             matches.take_back(promised)
         if shown:
+            self.moved = True
             matches.show(shown.items())
             self._ask_from = 0.0
             self._asked.clear()  # one after the other, and each may take as long as a link makes it
             self._judge()
+
+    def _hear(self, outcomes: Sequence[Outcome]) -> None:
+        """Keep and tell the peer's verdicts."""
+        for match, one in self._matches.hear(outcomes):
+            keyframe = self._known.get(one.pair[0])
+            text = f"{self._peer.name} says {one.state}: {self._gallery} keyframe {keyframe}"
+            fields: dict[str, Json] = {"match": match, "keyframe": keyframe, "peer_state": one.state}
+            self._desk.hub.tell(Event("peer-verdict", text, *self._where, fields))
 
     def _own_keyframe(self, slot: int) -> Keyframe:
         number = self._known.get(slot)
@@ -257,11 +280,11 @@ class Turns:
         return keyframe
 
     def _judge(self) -> None:
-        """Have all matches verified that both sides have shown."""
-        for match, pair, keyframe in self._matches.unverified():
-            if keyframe is not None:
-                meet = partial(self._meeting, keyframe, pair[1])
-                self._verifier.judge(match, meet, partial(self._settle, match))
+        """Have matches verified that both sides have shown, a few at a time: other peers' wait, too."""
+        if self._allowance.struck:
+            return
+        for match, slot, keyframe in self._matches.unverified(self._desk.strikes):
+            self._verifier.judge(match, partial(self._meeting, keyframe, slot), partial(self._settle, match))
 
     def _meeting(self, keyframe: int, slot: int) -> Meeting | None:
         """What a verification sees; in the verifier's thread."""
@@ -274,6 +297,7 @@ class Turns:
         self._ask_from = 0.0  # there may be trust for the next
         self._wake()
         self._desk.hub.tell(Event.of(news))
+        self._judge()
 
     def _tell(self, name: str, text: str) -> None:
         self._desk.tell(name, text, *self._where)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import queue
 import threading
+import traceback
 from collections.abc import Callable
 from typing import TypeAlias
+
+import numpy as np
 
 from protocols.agent.desk import Desk
 from protocols.agent.keyframe import Meeting, Verdict
@@ -63,10 +66,16 @@ class Verifier:
             return Verdict(True, "not looked at: no verification was given")
         try:
             verdict = verify(meeting)
+            if isinstance(verdict, (bool, np.bool_)):
+                return Verdict(bool(verdict))
             if not isinstance(verdict, Verdict):
-                raise TypeError(f"it returned {type(verdict).__name__}, not a Verdict")
+                raise TypeError(
+                    f"it returned {type(verdict).__name__}: return protocols.agent.Verdict(accepted, why)"
+                )
         except Exception as error:  # the peer's payload can be anything, and the agent goes on
-            why = printable(f"the verification failed: {type(error).__name__}: {error}"[:200])
-            self._desk.tell("verification", why, meeting.peer, meeting.gallery, keyframe=meeting.own.id)
-            return Verdict(False, why)
+            why = printable(f"{type(error).__name__}: {error}"[:200])
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            text = f"--verify raised in {where.filename}, line {where.lineno}: {why}; this counts as rejected"
+            self._desk.tell("verification", text, meeting.peer, meeting.gallery, keyframe=meeting.own.id)
+            return Verdict(False, f"the verification raised {why}")
         return verdict
