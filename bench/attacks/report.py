@@ -250,7 +250,7 @@ def _matches(found: Findings) -> Table:
             "one vector a step is stopped by its third match; however it chooses, the answers of "
             f"{SLOTS} slots with at most {STRIKES} matches tell at most {bits:.1f} bits about a descriptor "
             "(log2 of how many such answers there are). One step may bring many vectors, and opens a bit for "
-            "each of its pairs, whatever matches: slots and the budget of pairs a minute bound that.",
+            "each of its pairs, whatever matches: slots bound that, and a second's share of the budget.",
             f"What Alice shows is bounded throughout: at most {STRIKES} descriptors that the prober has no "
             "verified keyframe for, over all galleries and restarts, matches without a verdict included, "
             "until her user forgives.",
