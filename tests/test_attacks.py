@@ -360,7 +360,7 @@ def test_the_page_needs_nothing_else(ran):
         "scans.png",
         "probes.png",
     }
-    assert page.count("data:image/png;base64,") == 3 and page.count("<table>") == 5
+    assert page.count("data:image/png;base64,") == 4 + 6 + 1 and page.count("<table>") == 6
     assert not re.search(r"(?:src|href)=\"(?!data:)", page) and "<script" not in page
 
 
@@ -370,3 +370,32 @@ def test_the_terminal_has_the_same_tables(ran):
     text = "\n".join(show(ran[0]))
     for table in tables(ran[0]):
         assert table.title in text and all(row[0] in text for row in table.rows)
+        assert all(meaning.split()[0] in text for _, meaning in table.key)
+
+
+def test_the_terminal_needs_no_more_than_100_columns(ran):
+    from bench.attacks.report import show
+
+    assert max(map(len, show(ran[0]))) <= 100
+
+
+def test_headers_are_told_apart_and_shares_are_in_percent(ran):
+    from bench.attacks.report import tables
+
+    for table in tables(ran[0]):
+        assert len(set(table.head)) == len(table.head), table.head
+    (matches,) = (table for table in tables(ran[0]) if table.title.startswith("The first match"))
+    assert all(cell == "-" or cell.endswith("%") for row in matches.rows for cell in row[1:4])
+
+
+def test_bits_that_did_not_suffice_and_a_single_target_are_told_so(ran):
+    from bench.attacks.report import tables
+
+    (probes,) = (table for table in tables(ran[0]) if table.title.startswith("Probes"))
+    assert "> 150" in probes.rows[0] and probes.notes[0].startswith("One descriptor of Alice's")
+
+
+def test_a_cell_of_the_page_names_its_column_for_narrow_screens(ran):
+    page = ran[1]
+    assert page.count("<td ") == page.count("<td data-column=") > 60 and "<td>" not in page
+    assert "@media (max-width" in page and "attr(data-column)" in page

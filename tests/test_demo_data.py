@@ -156,6 +156,7 @@ def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str])
         clear_quality=places.Quality(0.8, 0.6, 20, 3),
         verified_quality=places.Quality(1.0, 0.6, 20, 0),
         errors=Errors(2.3, 1.6, 43.7, 0.7, 0.6, 0.8, 0.5),
+        same_places=30,
         disagreements=3,
         dealt_slots=(10, 12),
         dealing_seconds=0.5,
@@ -177,7 +178,7 @@ def test_report_accounts_for_every_candidate(capsys: pytest.CaptureFixture[str])
     assert re.search(r"│ a vector's norm +│ at most 1, as was proved │ yes ", shown)
     found = re.findall(r"│ (.*?) +│ +(\d+) │ +(\d+) │ +(\d+) │", shown)
     rows = {label: (int(private), int(clear), int(verified)) for label, private, clear, verified in found}
-    parts = ("same place by the pose graph", "1 to 4 m apart, not counted", "another place")
+    parts = ("right: at most 1 m apart", "near: 1 to 4 m, not counted", "wrong: another place")
     assert [sum(column) for column in zip(*(rows[part] for part in parts), strict=True)] == [31, 28, 25]
 
 

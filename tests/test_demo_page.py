@@ -157,8 +157,28 @@ def test_page_tells_the_numbers_of_the_report(demo: tuple[Path, Any]) -> None:
         f"{report['errors']['merged']:.2f} m",
         f"{report['errors']['unverified']:.2f} m",
         f"({report['shown'][0]} of 99, {report['shown'][1]} of 117)",
+        "since some matched more than once",
+        f"recall, of {report['same_places']} right pairs",
     ):
         assert words in re.sub(r"\s+", " ", text), words
+
+
+def test_dots_and_table_count_the_same_kinds(demo: tuple[Path, Any]) -> None:
+    """Of the candidates: at most 1 m apart, up to 4 m, and another place."""
+    text, report = re.sub(r"\s+", " ", text_of(demo)), demo[1]
+    quality = report["private_quality"]
+    same, wrong = quality["true_positives"], quality["false_positives"]
+    near = report["candidates"] - same - wrong
+    for kind, count in (("same", same), ("near", near), ("wrong", wrong)):
+        assert text.count(f'class="dot {kind}"') == count
+    for words in (f"at most 1 m apart ({same})", f"1 to 4 m ({near})", f"another place ({wrong})"):
+        assert words in text
+    assert re.search(rf"not counted</th><td>{near}</td>", text)
+    assert f"The other {report['candidates'] - report['verified'] - wrong} would have been right" in text
+
+
+def test_no_time_is_in_milliseconds(demo: tuple[Path, Any]) -> None:
+    assert not re.search(r"\d ms\b", text_of(demo))
 
 
 def browse(page: Path, width: int, tmp_path: Path, *more: str) -> "subprocess.CompletedProcess[str]":

@@ -92,15 +92,15 @@ def reconstructions(world: World) -> list[Reconstruction]:
     middle = np.broadcast_to(world.dense.positions.mean(axis=0), world.alice.positions.shape)
     return [
         Reconstruction(
-            "the paper's: mean of own scans that match",
+            "the paper's, of matching scans",
             "broadcast",
             every,
             mean_of_matches(broadcast >= world.threshold, world.dense.positions),
         ),
-        Reconstruction("matches, and steps between rebuilt grids", "broadcast", every, track(world)),
-        Reconstruction("the paper's: mean of own keyframes that match", "exchange", bits, at_matches),
+        Reconstruction("matches, and steps between grids", "broadcast", every, track(world)),
+        Reconstruction("the paper's, of matching keyframes", "exchange", bits, at_matches),
         Reconstruction(
-            "best own scan where revealed, straight lines between",
+            "revealed scans, straight lines between",
             "exchange",
             seen,
             joined(best_scan(revealed, world.dense.positions, world.threshold)),

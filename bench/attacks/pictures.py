@@ -1,7 +1,8 @@
-"""The attacks' pictures: paths on the building, scans side by side, what bits tell."""
+"""The attacks' pictures: whole ones as files, and each panel by itself for the page."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,47 +12,42 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bench.attacks.probes import COSINES, ISOTROPIC, median_curve
-from bench.attacks.run import Findings
-from bench.attacks.world import World
-from protocols.check.spread import bits_until
+from bench.attacks import panels
+from bench.attacks.run import Findings, Panel
 from spdz.foundations.types import FloatArray
 
-# Okabe and Ito's palette: told apart with every kind of colour blindness.
-_TRUE, _GUESS, _BOB, _WALL, _INK = "#0072B2", "#D55E00", "#E69F00", "#B9BEC4", "#222222"
-_CURVES = ("#D55E00", "#CC79A7", "#E69F00", "#0072B2", "#56B4E9", "#009E73")
-_MARGIN = 12.0
-"""Metres of building shown around the paths."""
 _SHOWN = 6
 """Scans side by side."""
 _COLOURS = 48
 """Of a picture, shades included."""
+_KINDS = ("what Alice saw", "rebuilt from the broadcast", "from this exchange:\nno descriptor, a constant")
 
 
 def draw(folder: Path, found: Findings) -> None:
-    """Write a PNG for each part that was run, and note them in the findings.
+    """Write a PNG for each part that was run, and note its panels in the findings.
 
     Args:
         folder: Where to write; it must exist.
         found: What the attacks brought.
     """
-    for name, ready, figure in (
-        ("paths", bool(found.paths), _paths),
-        ("scans", found.scans is not None, _scans),
-        ("probes", bool(found.probes), _probes),
+    for name, ready, whole, parts in (
+        ("paths", bool(found.paths), _paths, _path_panels),
+        ("scans", found.scans is not None, _scans, _scan_panels),
+        ("probes", bool(found.probes), _probes, _probe_panels),
     ):
         if ready:
-            found.pictures[name] = _written(folder / f"{name}.png", figure(found))
+            (folder / f"{name}.png").write_bytes(_png(whole(found)))
+            found.panels[name] = list(parts(found))
 
 
-def _written(path: Path, figure: Figure) -> Path:
-    """Write a PNG of few colours: a page that holds it stays small."""
+def _png(figure: Figure) -> bytes:
+    """A PNG of few colours: a page that holds it stays small."""
     FigureCanvasAgg(figure)
-    drawn = BytesIO()
+    drawn, small = BytesIO(), BytesIO()
     figure.savefig(drawn, format="png")
     picture = Image.open(drawn).convert("RGB")
-    picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
-    return path
+    picture.quantize(_COLOURS, dither=Image.Dither.NONE).save(small, "png", optimize=True)
+    return small.getvalue()
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -59,65 +55,60 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _paths(found: Findings) -> Figure:
-    world = found.world
-    both = _upright(world, np.concatenate([world.alice.positions, world.dense.positions]))
-    low, high = both.min(axis=0) - _MARGIN, both.max(axis=0) + _MARGIN
-    walls = _upright(world, world.walls)
-    walls = walls[((walls > low) & (walls < high)).all(axis=1)]
-    true, own = _upright(world, world.alice.positions), _upright(world, world.dense.positions)
+    building = panels.Building.of(found.world)
+    figure = _figure(13, 6.5 * building.ratio * 2 + 1.2)
+    grid: Any = figure.subplots(2, 2)
     shown = [pair for pair in found.paths if pair[0].source != "nothing"]
-    ratio = (high[1] - low[1]) / (high[0] - low[0])
-    figure = _figure(13, 6.5 * ratio * 2 + 1.2)
-    panels: Any = figure.subplots(2, 2)
-    for axes, (row, found_path) in zip(panels.ravel(), shown, strict=True):
-        guess = _upright(world, found_path.positions)
-        axes.plot(*walls.T, ".", color=_WALL, markersize=1, markeredgewidth=0)
-        axes.plot(*own.T, color=_BOB, linewidth=3, alpha=0.5, label="Bob's own path")
-        for a, b in zip(true, guess, strict=True):
-            if np.isfinite(b[0]):
-                axes.plot([a[0], b[0]], [a[1], b[1]], color=_GUESS, linewidth=0.5, alpha=0.6)
-        axes.plot(*true.T, "s", color=_TRUE, markersize=4, label="Alice's keyframes")
-        axes.plot(*guess.T, "x", color=_GUESS, markersize=5, label="where Bob puts them")
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        axes.set_axis_off()
-        source = "From the broadcast" if row.source == "broadcast" else "From this exchange"
-        axes.set_title(
-            f"{source}: {row.attack}\n{row.localised} of {row.keyframes} within 4 m, "
-            f"{row.unseen_localised} of {row.unseen} where Bob never was",
-            fontsize=10,
-            color=_INK,
-        )
+    for axes, (row, one) in zip(grid.ravel(), shown, strict=True):
+        panels.path(axes, building, found.world, one)
+        axes.set_title("\n".join(panels.path_words(row)), fontsize=10, color=panels.INK)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
-def _upright(world: World, points: FloatArray) -> FloatArray:
-    """Points ``(k, 2)`` with the walls upright, turned once more: the building is longer than it is wide."""
-    turned = (points[:, 0] + 1j * points[:, 1]) * np.exp(-1j * world.public.walls) * -1j
-    return np.stack([turned.real, turned.imag], axis=1)
+def _path_panels(found: Findings) -> Iterator[Panel]:
+    building = panels.Building.of(found.world)
+    for row, one in found.paths:
+        if row.source != "nothing":
+            figure = _figure(6.5, 6.5 * building.ratio)
+            panels.path(figure.subplots(), building, found.world, one)
+            yield Panel(_png(figure), ". ".join(panels.path_words(row)))
 
 
 def _scans(found: Findings) -> Figure:
+    chosen = _chosen(found)
+    figure = _figure(13, 7)
+    grid: Any = figure.subplots(len(_KINDS), len(chosen))
+    for column, (place, words, images) in enumerate(chosen):
+        grid[0, column].set_title(f"keyframe {place}, {words}", fontsize=8, color=panels.INK)
+        for axes, image in zip(grid[:, column], images, strict=True):
+            panels.scan(axes, image)
+    for axes, name in zip(grid[:, 0], _KINDS, strict=True):
+        axes.set_ylabel(name, fontsize=9, color=panels.INK)
+    return figure
+
+
+def _scan_panels(found: Findings) -> Iterator[Panel]:
+    for place, words, images in _chosen(found):
+        figure = _figure(6.5, 2.2)
+        for axes, image in zip(figure.subplots(1, len(images)), images, strict=True):
+            panels.scan(axes, image)
+        yield Panel(_png(figure), f"Keyframe {place}, {words}")
+
+
+def _chosen(found: Findings) -> list[tuple[int, str, list[FloatArray]]]:
+    """Keyframes that match none of Bob's: number, where, and as seen, as rebuilt, and the constant."""
     scans = found.scans
     assert scans is not None
-    never = np.flatnonzero(found.world.unseen & ~scans.revealed)
-    often = np.flatnonzero(~found.world.unseen & ~scans.revealed)
     half = _SHOWN // 2
-    chosen = [*_spread(often, half), *_spread(never, _SHOWN - half)]
-    figure = _figure(13, 7)
-    grid: Any = figure.subplots(3, len(chosen))
-    rows = ("what Alice saw", "rebuilt from the broadcast", "from this exchange:\nno descriptor, a constant")
-    columns = scans.true[chosen], scans.guessed[chosen], np.stack([scans.constant] * len(chosen))
-    for axes_row, name, images in zip(grid, rows, columns, strict=True):
-        for axes, image, place in zip(axes_row, images, chosen, strict=True):
-            axes.imshow(np.asarray(image, dtype=float).T, origin="lower", cmap="Greys", vmin=0, vmax=0.8)
-            axes.set(xticks=[], yticks=[])
-            if name == rows[0]:
-                where = "where Bob never was" if place in never else "on Bob's path too"
-                axes.set_title(f"keyframe {place}, {where}", fontsize=8, color=_INK)
-        axes_row[0].set_ylabel(name, fontsize=9, color=_INK)
-    return figure
+    often = _spread(np.flatnonzero(~found.world.unseen & ~scans.revealed), half)
+    never = _spread(np.flatnonzero(found.world.unseen & ~scans.revealed), _SHOWN - half)
+    return [
+        (place, words, [scans.true[place].astype(float), scans.guessed[place], scans.constant])
+        for places, words in ((often, "on Bob's path too"), (never, "where Bob never was"))
+        for place in places
+    ]
 
 
 def _spread(which: Any, count: int) -> list[int]:
@@ -129,30 +120,17 @@ def _spread(which: Any, count: int) -> list[int]:
 
 def _probes(found: Findings) -> Figure:
     figure = _figure(11, 6)
-    axes: Any = figure.add_subplot()
-    for curves, colour in zip(found.probes, _CURVES, strict=True):
-        row, middle = curves.row, median_curve(curves.probings)
-        axes.plot(
-            np.arange(1, len(middle) + 1),
-            middle,
-            color=colour,
-            linewidth=2,
-            linestyle="-" if row.prior != "nothing" else "--",
-            label=f"{row.descriptors}, known beforehand: {row.prior}",
-        )
-    threshold = found.probes[0].row.threshold
-    cosines = np.linspace(threshold, np.sqrt(0.64 + 0.36 * threshold**2), 60)
-    bits = [bits_until(float(cosine), threshold, ISOTROPIC) for cosine in cosines]
-    axes.plot(bits, cosines, ":", color=_INK, label=f"the rule, d = {ISOTROPIC:,}")
-    for cosine in COSINES:
-        axes.axhline(cosine, color=_WALL, linewidth=0.8, zorder=0)
-    axes.set(
-        xscale="log",
-        xlim=(10, None),
-        ylim=(0, 1),
-        xlabel="probes, one bit each, after a first match",
-        ylabel="cosine of the best guess with the hidden descriptor",
-        title="What unit vectors of a prober's choice tell of one descriptor",
-    )
+    axes: Any = figure.subplots()
+    panels.curves(axes, found)
+    axes.set_title("What unit vectors of a prober's choice tell of one descriptor")
     axes.legend(frameon=False, loc="lower right", fontsize=9)
     return figure
+
+
+def _probe_panels(found: Findings) -> Iterator[Panel]:
+    figure = _figure(6.5, 5)
+    axes: Any = figure.subplots()
+    panels.curves(axes, found)
+    for words in (axes.xaxis.label, axes.yaxis.label, *axes.get_xticklabels(), *axes.get_yticklabels()):
+        words.set_fontsize(15)
+    yield Panel(_png(figure), "What unit vectors of a prober's choice tell of one descriptor, bit by bit")

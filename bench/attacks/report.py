@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from bench.attacks.probes import COSINES, SLOTS, STRIKES, ProbeRow, most_information
+from bench.attacks.paths import LOCALISED
+from bench.attacks.probes import COSINES, SLOTS, STRIKES, Curves, ProbeRow, median_curve, most_information
 from bench.attacks.run import Findings
+from protocols.check.percent import percent
+
+WIDTH = 100
+"""Columns that the text takes at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,13 +23,15 @@ class Table:
         title: What it shows.
         head: Names of the columns; the first column is words, the others are numbers.
         rows: Cells.
+        key: Of columns whose names do not say all: the name, and what is in the column.
         notes: Sentences below it.
     """
 
     title: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
-    notes: Sequence[str]
+    key: Sequence[tuple[str, str]] = ()
+    notes: Sequence[str] = ()
 
 
 def tables(found: Findings) -> Iterator[Table]:
@@ -34,13 +42,14 @@ def tables(found: Findings) -> Iterator[Table]:
         yield _scans(found)
     if found.probes:
         yield _probes(found)
+        yield _after(found)
         yield _matches(found)
     if found.refusals:
         yield _refusals(found)
 
 
 def show(found: Findings) -> Iterator[str]:
-    """The tables as lines of text."""
+    """The tables as lines of text, of at most WIDTH columns."""
     for table in tables(found):
         widths = [max(map(len, column)) for column in zip(table.head, *table.rows, strict=True)]
         yield ""
@@ -51,8 +60,15 @@ def show(found: Findings) -> Iterator[str]:
                 for at, (cell, width) in enumerate(zip(cells, widths, strict=True))
             )
             yield "  ".join(["", first, *rest]).rstrip()
+        name_width = max((len(name) for name, _ in table.key), default=0)
+        for name, meaning in table.key:
+            yield from _wrapped(meaning, f"    {name.ljust(name_width)}  ")
         for note in table.notes:
-            yield f"  {note}"
+            yield from _wrapped(note, "  ")
+
+
+def _wrapped(text: str, first: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first))
 
 
 def _paths(found: Findings) -> Table:
@@ -65,22 +81,40 @@ def _paths(found: Findings) -> Table:
             f"{row.localised} ({row.share:.0%})",
             _metres(row.median_m),
             _metres(row.mean_m),
-            f"{row.unseen_localised} of {row.unseen}",
+            str(row.unseen_localised),
             _metres(row.unseen_median_m),
         )
         for row, _ in found.paths
     ]
-    sources = {row.source: row.knows for row, _ in found.paths if row.source != "nothing"}
+    knows = {
+        source: "; or ".join(dict.fromkeys(row.knows for row, _ in found.paths if row.source == source))
+        for source in ("broadcast", "exchange")
+    }
     return Table(
         f"Paths: where Alice's {first.keyframes} keyframes were taken",
-        ("attack", "fed with", "claimed", "within 4 m", "median m", "mean m", "Bob never there", "median m"),
+        ("attack", "source", "claims", "found", "median", "mean", "new", "new median"),
         rows,
         (
-            f"broadcast: Bob has {sources['broadcast']}; the exchange: {sources['exchange']}.",
-            "always: his own scans and where he took them, and how descriptors are made. Errors are of what "
-            "is claimed. Bob never there: keyframes more than 4 m from his own path.",
-            "bits of the exchange tell where both have been, by design, and Alice learns them as well; who "
-            "makes what of a broadcast nobody knows.",
+            ("source", f"broadcast: {knows['broadcast']}. exchange: {knows['exchange']}"),
+            (
+                "the paper's",
+                "places a keyframe at the mean of the scans, or keyframes, of Bob's that match it",
+            ),
+            ("claims", "keyframes that Bob gives a place for"),
+            ("found", f"keyframes that he places within {LOCALISED:.0f} m of where they were taken"),
+            ("median, mean", "errors of what he claims, in metres"),
+            (
+                "new",
+                f"found of the {first.unseen} keyframes that are more than {LOCALISED:.0f} m from his own "
+                "path; new median: the error of what he claims of these",
+            ),
+        ),
+        (
+            "Bob always has his own scans and knows where he took them, and how descriptors are made. With "
+            "the exchange alone he knows nothing of a keyframe that matched none of his: between those that "
+            "did he draws straight lines, also through walls.",
+            "The bits of the exchange tell where both have been. That is what they are for, and Alice learns "
+            "them as well. Of a broadcast she does not learn who listens, nor what he makes of it.",
         ),
     )
 
@@ -96,60 +130,91 @@ def _scans(found: Findings) -> Table:
             row.attack,
             row.source,
             f"{row.fed} of {row.keyframes}",
-            f"{row.overlap:.2f}",
+            f"{row.overlap:.0%}",
             f"{row.correlation:.2f}",
-            f"{row.overlap_unseen:.2f}",
+            f"{row.overlap_unseen:.0%}",
         )
         for row in found.scans.rows
     ]
     return Table(
         "Scans: what Alice saw, rebuilt on cells of 0.5 m",
-        ("attack", "fed with", "descriptors", "overlap", "correlation", "overlap, Bob never there"),
+        ("attack", "source", "descriptors", "overlap", "correlation", "new overlap"),
         rows,
-        ("overlap: intersection over union of occupied cells; medians over Alice's keyframes.",),
+        (
+            ("regression", "a ridge regression from the descriptor to the cells, fitted on Bob's own scans"),
+            ("constant", "how often a cell is occupied in Bob's scans: the same guess for every keyframe"),
+            ("overlap", "cells occupied in both, of those occupied in either; median over keyframes"),
+            ("correlation", "of the guess with the cells; median over keyframes"),
+            ("new overlap", f"of the keyframes that are more than {LOCALISED:.0f} m from Bob's own path"),
+        ),
     )
 
 
 def _probes(found: Findings) -> Table:
-    def until(bits: int | None) -> str:
-        return "more" if bits is None else f"{bits:,}"
+    def until(bits: int | None, curves: Curves) -> str:
+        return f"> {len(median_curve(curves.probings)):,}" if bits is None else f"{bits:,}"
 
     rows = [
         (
-            row.descriptors,
-            row.prior,
-            f"{row.effective_dimension:,.0f}",
-            f"{row.cosine_before:.2f}",
-            *(until(bits) for bits in (row.bits_090, row.bits_095, row.bits_099)),
-            f"{row.rule_090:,.0f}",
-            _after(row),
+            curves.row.descriptors,
+            curves.row.prior,
+            f"{curves.row.effective_dimension:,.0f}",
+            f"{curves.row.cosine_before:.2f}" if curves.row.cosine_before else "-",
+            *(
+                until(bits, curves)
+                for bits in (curves.row.bits_090, curves.row.bits_095, curves.row.bits_099)
+            ),
+            f"{curves.row.rule_090:,.0f}",
         )
-        for row in (curves.row for curves in found.probes)
+        for curves in found.probes
     ]
-    threshold = found.probes[0].row.threshold
+    first = found.probes[0].row
     return Table(
-        f"Probes: bits that unit vectors need, adaptive, threshold {threshold:g}",
-        (
-            "descriptors",
-            "known",
-            "eff. dim.",
-            "before",
-            *(f"to {cosine:.2f}" for cosine in COSINES),
-            "rule 0.90",
-            "cosine after bits",
-        ),
+        f"Probes: bits until a descriptor is guessed, by unit vectors; threshold {first.threshold:g}",
+        ("descriptors", "known", "dimension", "start", *(f"to {one:.2f}" for one in COSINES), "by the rule"),
         rows,
         (
-            f"medians over {found.probes[0].row.targets} descriptors of Alice's; simulated, on quantised "
-            "vectors and a resolution of 2^-16. before: of the best guess without a probe.",
-            "rule: cos^2 = t^2 + 0.64 (1 - t^2) bits / d, d the effective dimension, or all numbers where "
-            "nothing is known; some 28 bits go before it.",
+            ("known", "what the prober knows beforehand"),
+            ("dimension", "effective dimension: in how many directions these descriptors differ"),
+            ("start", "cosine of the best guess with the descriptor before any probe"),
+            (
+                "to 0.90",
+                "bits, one a probe, until the best guess has that cosine; >: not after so many",
+            ),
+            (
+                "by the rule",
+                "bits to 0.90 by cos^2 = t^2 + 0.64 (1 - t^2) bits / d, with t the threshold, and d the "
+                "effective dimension, or all numbers where nothing is known; about 28 bits go before it",
+            ),
+        ),
+        (
+            f"{_medians(first.targets)} Simulated, on quantised vectors and a resolution of 2^-16. The first "
+            "match is not counted.",
         ),
     )
 
 
-def _after(row: ProbeRow) -> str:
-    return ", ".join(f"{bits}: {cosine:.2f}" for bits, cosine in row.cosine_after.items())
+def _medians(targets: int) -> str:
+    if targets == 1:
+        return "One descriptor of Alice's was probed: a rough figure."
+    return f"Medians over {targets} descriptors of Alice's."
+
+
+def _after(found: Findings) -> Table:
+    counts = sorted({bits for curves in found.probes for bits in curves.row.cosine_after})
+    rows = [
+        (
+            row.descriptors,
+            row.prior,
+            *(f"{row.cosine_after[bits]:.2f}" if bits in row.cosine_after else "-" for bits in counts),
+        )
+        for row in (curves.row for curves in found.probes)
+    ]
+    return Table(
+        "Cosine of the prober's best guess after so many bits",
+        ("descriptors", "known", *(f"{bits:,}" for bits in counts)),
+        rows,
+    )
 
 
 def _matches(found: Findings) -> Table:
@@ -159,9 +224,9 @@ def _matches(found: Findings) -> Table:
     rows = [
         (
             row.descriptors,
-            f"{row.equal:.0%}",
-            "-" if row.foreign is None else f"{row.foreign:.2g}",
-            f"{row.random:.2g}",
+            percent(row.equal),
+            "-" if row.foreign is None else percent(row.foreign),
+            percent(row.random),
             row.first,
             "-" if row.third_match is None else f"{row.third_match:.2f}",
         )
@@ -170,13 +235,25 @@ def _matches(found: Findings) -> Table:
     bits = most_information(STRIKES, SLOTS)
     return Table(
         "The first match, and strikes",
-        ("descriptors", "all-equal", "foreign", "random", "first match of the prober", "at third match"),
+        ("descriptors", "all-equal", "foreign", "random", "first match", "at the third"),
         rows,
         (
-            f"shares that match. {STRIKES} strikes in {SLOTS} slots leave at most {bits:.1f} bits about a "
-            "descriptor: log2 of the answers that there can be.",
-            "at third match: the cosine that this prober has then. A match also reveals the descriptor that "
-            f"it was with: at most {STRIKES} of those, if no more are ever outstanding.",
+            ("all-equal", "how many of Alice's descriptors a vector of equal numbers matches"),
+            ("foreign", "pairs of a public place, in any quarter turn, and a place of Alice's that match"),
+            ("random", "the same with random unit vectors"),
+            ("first match", "how this prober came by it"),
+            ("at the third", "cosine that this prober has reached when its third probe matches"),
+        ),
+        (
+            f"An agent (protocols.agent) stops with a peer at {STRIKES} strikes: matches that the peer does "
+            "not follow with a keyframe that verifies. It looks at them between steps. A prober that brings "
+            "one vector a step is stopped by its third match; however it chooses, the answers of "
+            f"{SLOTS} slots with at most {STRIKES} matches tell at most {bits:.1f} bits about a descriptor "
+            "(log2 of how many such answers there are). One step may bring many vectors, and opens a bit for "
+            "each of its pairs, whatever matches: slots bound that, and a second's share of the budget.",
+            f"What Alice shows is bounded throughout: at most {STRIKES} descriptors that the prober has no "
+            "verified keyframe for, over all galleries and restarts, matches without a verdict included, "
+            "until her user forgives.",
         ),
     )
 
@@ -193,9 +270,11 @@ def _refusals(found: Findings) -> Table:
         )
         for row in found.refusals
     ]
+    errors = sorted({row.error for row in found.refusals if row.error})
     return Table(
-        "The real protocol: what a modified robot brought, malicious mode",
+        "The real protocol, malicious mode: what a modified robot brought",
         ("probe", "norm", "score", "outcome", "bits it got", "matches"),
         rows,
-        tuple(sorted({row.error for row in found.refusals if row.error})),
+        (("outcome", "refused by name: Alice's robot named the slot and its owner, and compared nothing"),),
+        [f"Alice's robot said: {error}." for error in errors],
     )

@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.attacks.insider import RefusalRow, refusals
 from bench.attacks.paths import PathRow, Reconstruction, judged, reconstructions
@@ -37,6 +36,13 @@ class Effort:
     bits: int
 
 
+class Panel(NamedTuple):
+    """A panel of a picture: a PNG, and what it shows."""
+
+    png: bytes
+    words: str
+
+
 FULL, QUICK = Effort(DENSE, 4, 7, 1600), Effort(2 * DENSE, 1, 1, 150)
 
 
@@ -51,7 +57,7 @@ class Findings:
         scans: The rebuilt scans.
         probes: Rows and curves.
         refusals: What the real protocol did with probes.
-        pictures: The files that were written.
+        panels: The pictures that were drawn, panel by panel.
     """
 
     world: World = field(repr=False)
@@ -60,7 +66,7 @@ class Findings:
     scans: Rebuilt | None = None
     probes: list[Curves] = field(default_factory=list)
     refusals: list[RefusalRow] = field(default_factory=list)
-    pictures: dict[str, Path] = field(default_factory=dict)
+    panels: dict[str, list[Panel]] = field(default_factory=dict)
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """JSON-ready, one for each figure of a table."""

@@ -160,15 +160,9 @@ def rebuild(world: World, seed: int, turns: int = 4) -> Rebuilt:
     return Rebuilt(
         [
             row("ridge regression", "broadcast", everything, guessed, decoder.cut),
-            row(
-                "ridge regression where revealed, else the constant",
-                "exchange",
-                int(revealed.sum()),
-                told,
-                cuts,
-            ),
-            row("the constant: what Bob's scans are on the whole", "nothing", 0, constant, flat),
-            row("rebuilt scans of other keyframes, at random", "nothing", 0, shuffled, decoder.cut),
+            row("regression if revealed, else constant", "exchange", int(revealed.sum()), told, cuts),
+            row("the constant", "nothing", 0, constant, flat),
+            row("rebuilt scans of other keyframes", "nothing", 0, shuffled, decoder.cut),
         ],
         world.alice.occupancy,
         guessed.reshape(-1, CELLS, CELLS),

@@ -78,9 +78,15 @@ def two_submaps(own: bytes, other: bytes, transform: Pose, words: str) -> str:
 
 
 def shares(
-    verdicts: Mapping[tuple[int, int], Verified], right: Mapping[tuple[int, int], bool], least: float
+    verdicts: Mapping[tuple[int, int], Verified], kinds: Mapping[tuple[int, int], str], least: float
 ) -> str:
-    """A dot for every candidate by the share of points that agree: from 40 % to 100 %."""
+    """A dot for every candidate by the share of points that agree: from 40 % to 100 %.
+
+    Args:
+        verdicts: Of the candidates.
+        kinds: What each is in truth: ``"same"``, ``"near"`` or ``"wrong"``.
+        least: The share from which a candidate is verified.
+    """
     width, height, low = 340.0, 96.0, 0.4
     columns: dict[int, int] = {}
     parts = [f'<path class="axis" d="M10 70H330M{_place(least, low)} 8V78"/>']
@@ -88,8 +94,7 @@ def shares(
         column = round((max(verdict.weight, low) - low) * 50)
         columns[column] = columns.get(column, -1) + 1
         x, y = _place(max(verdict.weight, low), low), 63 - 9 * columns[column]
-        kind = "right" if right[pair] else "wrong"
-        parts.append(f'<circle class="dot {kind}" cx="{x}" cy="{y}" r="4"/>')
+        parts.append(f'<circle class="dot {kinds[pair]}" cx="{x}" cy="{y}" r="4"/>')
     for share in (low, 0.6, least, 1.0):
         parts.append(f'<text x="{_place(share, low)}" y="90">{share:.0%}</text>')
     words = "Share of points that agree, a dot a candidate"

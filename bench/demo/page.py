@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
 
 from bench.demo import drawing
-from bench.demo.places import DIFFERENT, Robot
+from bench.demo.places import DIFFERENT, SAME, Robot
 from bench.demo.plan import STRIKES
 from bench.demo.result import Report
 from bench.demo.scene import View
@@ -76,6 +77,7 @@ def page(story: Story) -> str:
 def _opening(story: Story) -> str:
     report = story.report
     (alice, bob), shown = report.keyframes, report.shown
+    twice = ", since some matched more than once" if report.candidates > min(shown) else ""
     picture = drawing.merged_map(story.merged, _pairs(story, True), "The merged map of both robots")
     return f"""<h1>Two robots, one map, and only what matched was shown</h1>
 <p class="lede">Alice and Bob drove through MIT's corridors, each on its own. They compared <b>{alice} x {
@@ -84,7 +86,10 @@ def _opening(story: Story) -> str:
 places without showing each other one, found <b>{
         report.candidates
     }</b> candidates, showed each other the laser
-submaps of those alone (<b>{shown[0]}</b> and <b>{shown[1]}</b>), and made one map of it.</p>
+submaps of those alone (<b>{shown[0]}</b> keyframes of Alice's and <b>{shown[1]}</b> of Bob's{
+        twice
+    }), and made one
+map of it.</p>
 <figure class="merged">{picture}
 {
         _legend(
@@ -129,30 +134,51 @@ def _compared(story: Story) -> str:
 
 def _verified(story: Story) -> str:
     report, least = story.report, f"{LEAST_SHARE:.0%}"
-    right = {pair: story.apart(pair) <= DIFFERENT for pair in story.verdicts}
+    kinds = {pair: _kind(story.apart(pair)) for pair in story.verdicts}
+    count = Counter(kinds.values())
+    lost = Counter(kinds[pair] for pair in _pairs(story, False))
     rejected = report.candidates - report.verified
-    false = [pair for pair in _pairs(story, False) if not right[pair]]
     proof = ", under a MAC that proves it to be the one that was compared,"
     proved = proof if report.security == "malicious" else ""
-    strip = drawing.shares(story.verdicts, right, LEAST_SHARE)
+    strip = drawing.shares(story.verdicts, kinds, LEAST_SHARE)
     return f"""<h2>3. Submaps shown and verified, for candidates alone</h2>
 <p>For a candidate, and for nothing else, both robots show each other the descriptor{proved} and what their
-lasers saw around it. Each computes the descriptor from the submap that came and holds one against the other,
+lasers saw around it.</p>
+<p>Each computes the descriptor from the submap that came and holds one against the other,
 so that nobody matches with one place and shows another. Then it lays the submaps upon each other
-(point-to-line ICP). A candidate counts if at least {least} of the points within {NEAR:.0f} m have one of the
-other's within {INLIER * 100:.0f} cm, both ways: <b>{report.verified} verified,
-{rejected} rejected</b>, among them {_all_of(len(false), "that lie elsewhere")}.
-{_spared(rejected - len(false))}After {STRIKES} that fail a robot compares no more with the other until it is
+(point-to-line ICP): a candidate counts if at least {least} of the points within {NEAR:.0f} m have one of the
+other's within {INLIER * 100:.0f} cm, both ways.</p>
+<p><b>{report.verified} verified, {rejected} rejected</b>, among them {
+        _all_of(lost["wrong"], "that lie elsewhere")
+    }.
+{_spared(lost)}After {STRIKES} that fail a robot compares no more with the other until it is
 told to: who probes pays for each bit with a place that fits.</p>
 <div class="pair overlay">{"".join(_overlay(story, pair) for pair in _examples(story))}</div>
 <figure class="narrow">{strip}
-{_legend(("spot", "yes", "the same place in truth"), ("ring", "no", "another place"))}
+{
+        _legend(
+            ("spot", "yes", f"in truth at most {SAME:.0f} m apart ({count['same']})"),
+            ("ring", "yes", f"{SAME:.0f} to {DIFFERENT:.0f} m ({count['near']})"),
+            ("ring", "no", f"another place ({count['wrong']})"),
+        )
+    }
 <figcaption>The share of points that agree, a dot a candidate; left of the line it is rejected.</figcaption>
 </figure>"""
 
 
-def _spared(count: int) -> str:
-    return f"The other {count} were right: a loop too few costs little. " if count else ""
+def _kind(apart: float) -> str:
+    """What a candidate is in truth, as the table of candidates counts it."""
+    return "same" if apart <= SAME else "near" if apart <= DIFFERENT else "wrong"
+
+
+def _spared(lost: Counter[str]) -> str:
+    count = lost["same"] + lost["near"]
+    if not count:
+        return ""
+    return (
+        f"The other {count} would have been right ({lost['same']} of them at most {SAME:.0f} m apart, "
+        f"{lost['near']} up to {DIFFERENT:.0f} m): a loop too few costs little. "
+    )
 
 
 def _all_of(count: int, words: str) -> str:
@@ -187,13 +213,13 @@ m across.</figcaption></figure>"""
 
 def _merged(story: Story) -> str:
     errors, report = story.report.errors, story.report
-    careless = drawing.merged_map(story.careless, (), "The map without verification")
+    careless = drawing.merged_map(story.careless, (), "The map with every candidate believed")
     picture = drawing.merged_map(story.merged, _pairs(story, True), "The map with verification")
     bars = [
         ("Alice alone, by odometry", errors.alice_alone, "alice"),
         ("Bob alone, by odometry", errors.bob_alone, "bob"),
         (f"merged, all {report.candidates} candidates believed", errors.unverified, "no"),
-        ("the same, but with a robust kernel", errors.kernel_only, "both"),
+        ("the same, with a robust kernel", errors.kernel_only, "both"),
         (f"merged, the {report.verified} verified candidates", errors.merged, "yes"),
     ]
     most = max(error for _, error, _ in bars)
@@ -208,9 +234,21 @@ a wrong loop no weight. Below is the trajectory error: the root mean square dist
 where they were, after one turn and shift for both robots (of a robot alone: for itself). Of the merged
 map, Alice's part is off by {errors.alice_merged:.2f} m and Bob's by {errors.bob_merged:.2f} m.</p>
 <div class="bars">{rows}</div>
-<div class="pair merged"><figure class="panel">{careless}<figcaption><b class="c-no">Without verification</b>:
-wrong loops fold the building.</figcaption></figure>
-<figure class="panel">{picture}<figcaption><b class="c-yes">With it</b>: off by {errors.merged:.2f}
+<p>Of {report.candidates} candidates {
+        report.private_quality.false_positives
+    } are wrong, few enough for the robust kernel
+to outvote them without verification: {errors.kernel_only:.2f} m instead of {
+        errors.merged:.2f} m. It has to have the
+right ones in the majority. Verification adds that each candidate is judged by itself, however many are
+wrong, and that both robots know which were: that is what strikes count.</p>
+<div class="pair merged"><figure class="panel">{careless}<figcaption><b class="c-no">All {
+        report.candidates
+    } candidates
+believed</b>, no robust kernel: wrong loops fold the building, off by {
+        errors.unverified:.2f} m.</figcaption></figure>
+<figure class="panel">{picture}<figcaption><b class="c-yes">The {
+        report.verified
+    } verified candidates</b>: off by {errors.merged:.2f}
 m.</figcaption></figure></div>"""
 
 

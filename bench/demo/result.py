@@ -14,7 +14,9 @@ class Report:
     """What the demo measured. Times are milliseconds, sizes bytes, errors metres; pairs are Alice's, Bob's.
 
     ``candidates`` are pairs that match, ``verified`` those of them whose submaps fit each other; ``shown`` is
-    of how many keyframes a submap was shown. ``errors`` are those of :class:`bench.demo.merged.Errors`.
+    of how many keyframes a submap was shown. ``same_places`` are all pairs at most 1 m apart, which recall is
+    of; ``disagreements`` are decisions unlike in the clear, those within the resolution of the threshold left
+    out. ``errors`` are those of :class:`bench.demo.merged.Errors`.
     """
 
     security: str
@@ -28,6 +30,7 @@ class Report:
     private_quality: Quality
     clear_quality: Quality
     verified_quality: Quality
+    same_places: int
     disagreements: int
     errors: Errors
     dealt_slots: tuple[int, int]

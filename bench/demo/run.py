@@ -86,6 +86,7 @@ def run_demo(out: Path, security: Security = "malicious", solver: Solver = "scip
         private_quality=places.precision_recall(private, truth),
         clear_quality=places.precision_recall(clear, truth),
         verified_quality=places.precision_recall(verified, truth),
+        same_places=int((truth == 1).sum()),
         disagreements=int(((told.decisions != exact) & clear_cut).sum()),
         errors=merged.errors,
         dealt_slots=gallery.slots((alice.name, bob.name)),

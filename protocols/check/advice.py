@@ -103,8 +103,8 @@ def _guessing(standing: Standing) -> Iterator[str]:
         yield (
             f"after a first match {form.bits:.0f} probe bits, and some 30 to begin with, give a guess of "
             f"cosine 0.9 (effective dimension {form.effective_dimension:.0f}). The slots of a mission seldom "
-            "stop that. An agent's strikes do between its steps; one step may ask as many bits as slots and "
-            "budgets allow."
+            "stop that. An agent's strikes do between its steps; one step may ask as many bits as slots, and "
+            "a second's share of the budget, allow."
         )
 
 
