@@ -61,6 +61,8 @@ def settle(options: argparse.Namespace) -> str | None:
     Returns:
         A sentence, or None if all is well.
     """
+    if options.workers is not None and options.workers < 1:
+        return f"--workers: deal with at least one worker, not {options.workers}"
     given = {name for name, value in vars(options).items() if value is not None and value is not False}
     if options.mission is not None:
         if others := sorted(given - set(_WITH_PLAN)):
