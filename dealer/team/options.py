@@ -36,9 +36,9 @@ def add_mission(arguments: argparse.ArgumentParser) -> None:
     add(
         "--scheduler",
         metavar="ADDRESS",
-        help="deal on a Dask cluster: tls://HOST:PORT of its scheduler (needs the package distributed); all its "
-        "workers must see --out as the same folder at the same path, and they see the secrets of both robots "
-        "of a pair. `local` starts a cluster of --workers processes here",
+        help="deal on a Dask cluster: tls://HOST:PORT of its scheduler (needs the package distributed); all "
+        "its workers must see --out as the same folder at the same path, and they see the secrets of both "
+        "robots of a pair. `local` starts a cluster of --workers processes here",
     )
     add(
         "--tls-ca",
