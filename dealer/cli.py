@@ -26,7 +26,7 @@ from dealer.plan import (
 from dealer.report import Wanted
 from dealer.team import cli as team
 from dealer.team.options import settle
-from dealer.words import counted
+from dealer.words import counted, each_pair, in_seconds
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
 from spdz.arithmetic.fixed_point import MAX_NORM
@@ -167,8 +167,7 @@ def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
         )
         return
     what = f"{counted(dealt.comparisons, 'comparison')} in {counted(dealt.jobs, 'job')}"
-    each = f"for each of {counted(dealt.pairs, 'pair')} of robots"
-    print(f"dealt {what} {each}, {options.security}, in {seconds:.1f} s")
+    print(f"dealt {what} {each_pair(dealt.pairs)}, {options.security}, in {in_seconds(seconds)}")
     for folder, size in dealt.folders.items():
         print(f"  {folder}: {in_bytes(size)}")
     print(report.enough_for(picked, wanted))

@@ -10,7 +10,7 @@ from dealer import gallery_report as report
 from dealer.gallery_mission import deal_galleries, gallery_mission_bytes
 from dealer.gallery_plan import gallery_cost
 from dealer.options import note
-from dealer.words import counted
+from dealer.words import each_pair, in_seconds
 from protocols.catalog import GalleryPurpose, parse_resolution
 from protocols.memory import in_bytes
 from protocols.thresholds import resolution_warning
@@ -99,8 +99,8 @@ def _deal(options: argparse.Namespace, purpose: GalleryPurpose) -> None:
         return
     rows, columns = dealt.capacity
     print(
-        f"dealt a gallery of {rows:,} x {columns:,} descriptors for each of {counted(dealt.pairs, 'pair')} "
-        f"of robots, {options.security}, in {seconds:.1f} s"
+        f"dealt a gallery of {rows:,} x {columns:,} descriptors {each_pair(dealt.pairs)}, "
+        f"{options.security}, in {in_seconds(seconds)}"
     )
     for folder, size in dealt.folders.items():
         print(f"  {folder}: {in_bytes(size)}")

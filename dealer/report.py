@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from itertools import combinations, islice
 
 from dealer.plan import LINK_BYTES, LINK_ROUND, Impossible, TilePlan
-from dealer.words import counted, in_seconds
+from dealer.words import counted, each_pair, in_seconds
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
 from spdz.foundations.types import Security
@@ -131,8 +131,8 @@ def as_text(
         yield ("* " if plan.tile == picked.tile else "  ") + row
     yield f"* {picked.tile[0]}x{picked.tile[1]}: {why}"
     yield (
-        f"with it: {counted(picked.comparisons, 'comparison')} in {counted(picked.jobs, 'job')} for each of "
-        f"{counted(wanted.pairs, 'pair')} of robots, tapes of {in_bytes(total)} in all; dealing needs "
+        f"with it: {counted(picked.comparisons, 'comparison')} in {counted(picked.jobs, 'job')} "
+        f"{each_pair(wanted.pairs)}, tapes of {in_bytes(total)} in all; dealing needs "
         f"{in_bytes(picked.dealing_memory)} of memory"
     )
     yield enough_for(picked, wanted)

@@ -19,6 +19,11 @@ def counted(count: int, one: str, many: str | None = None) -> str:
     return f"{count:,} {one if count == 1 else many or one + 's'}"
 
 
+def each_pair(count: int) -> str:
+    """For whom something is dealt: ``for a pair of robots``, ``for each of 190 pairs of robots``."""
+    return "for a pair of robots" if count == 1 else f"for each of {counted(count, 'pair')} of robots"
+
+
 def in_seconds(estimate: float) -> str:
     """A time in two digits, in seconds, minutes, hours or days."""
     for unit, seconds in _UNITS:

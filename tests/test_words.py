@@ -2,7 +2,7 @@
 
 import pytest
 
-from dealer.words import counted, in_seconds
+from dealer.words import counted, each_pair, in_seconds
 
 
 @pytest.mark.parametrize(
@@ -25,5 +25,6 @@ def test_times_have_two_digits_and_the_unit_that_fits(seconds, text):
 
 def test_one_is_not_several():
     assert [counted(count, "pair") for count in (0, 1, 2)] == ["0 pairs", "1 pair", "2 pairs"]
+    assert (each_pair(1), each_pair(3)) == ("for a pair of robots", "for each of 3 pairs of robots")
     assert counted(1, "gallery", "galleries") == "1 gallery"
     assert counted(1900, "gallery", "galleries") == "1,900 galleries"

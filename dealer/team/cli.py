@@ -13,7 +13,7 @@ from dealer.team.advice import advice
 from dealer.team.cluster import Cluster
 from dealer.team.deal import Dealt, deal_team, look_round
 from dealer.team.forecast import forecast
-from dealer.words import counted
+from dealer.words import counted, in_seconds
 from protocols.memory import in_bytes
 from protocols.mission import Mission
 from spdz.console.progress import progress_bar
@@ -62,7 +62,7 @@ def _deal(options: argparse.Namespace, mission: Mission) -> None:
         )
     print(
         f"dealt {counted(dealt.tasks, 'gallery', 'galleries')} for {counted(len(mission.pairs), 'pair')} of "
-        f"robots, {mission.security}, in {seconds:.1f} s"
+        f"robots, {mission.security}, in {in_seconds(seconds)}"
     )
     for folder, size in dealt.folders.items():
         print(f"  {folder}: {in_bytes(size)}")
