@@ -26,7 +26,9 @@ from dealer.plan import (
 from dealer.report import Wanted
 from dealer.team import cli as team
 from dealer.team.options import settle
+from dealer.words import counted, each_pair, in_seconds
 from protocols.catalog import Purpose
+from protocols.memory import in_bytes
 from spdz.arithmetic.fixed_point import MAX_NORM
 from spdz.console.command import FAILED, run_command, say_error, wants_json
 from spdz.console.progress import progress_bar
@@ -142,7 +144,7 @@ def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
         note(options, f"jobs of {picked.tile[0]} x {picked.tile[1]} descriptors: {why}")
     size = mission_bytes(options.agents, purpose, count, options.security)
     if size > 100e6:
-        note(options, f"writing about {size / 1e9:.1f} GB in all")
+        note(options, f"writing about {in_bytes(size)} in all")
     with progress_bar("dealing", quiet=options.quiet) as progress:
         dealt = deal_mission(options.out, options.agents, purpose, count, options.security, progress=progress)
     seconds = time.perf_counter() - started
@@ -164,10 +166,10 @@ def _deal(options: argparse.Namespace, purpose: Purpose) -> None:
             )
         )
         return
-    each = f"{dealt.comparisons} comparisons in {dealt.jobs} jobs for each of {dealt.pairs} pair(s) of robots"
-    print(f"dealt {each}, {options.security}, in {seconds:.1f} s")
+    what = f"{counted(dealt.comparisons, 'comparison')} in {counted(dealt.jobs, 'job')}"
+    print(f"dealt {what} {each_pair(dealt.pairs)}, {options.security}, in {in_seconds(seconds)}")
     for folder, size in dealt.folders.items():
-        print(f"  {folder}: {size / 1e6:.3f} MB")
+        print(f"  {folder}: {in_bytes(size)}")
     print(report.enough_for(picked, wanted))
     print("copy each folder to its robot, and keep no other copy of it")
 

@@ -89,7 +89,7 @@ def check_disk(out: Path, needed: int, remedy: str) -> None:
         ValueError: naming the need, what is free, and the remedy.
         NotADirectoryError: if a file is in the way.
     """
-    there = next(path for path in (out.absolute(), *out.absolute().parents) if os.path.lexists(path))
+    there = _existing(out)
     if not there.is_dir():
         raise NotADirectoryError(f"{there} is not a folder: choose a folder, or a new name, for --out")
     total, _, free = shutil.disk_usage(there)
@@ -98,3 +98,13 @@ def check_disk(out: Path, needed: int, remedy: str) -> None:
         raise ValueError(
             f"the tapes would take {in_bytes(needed)} and {in_bytes(free)} are free in {there}: {remedy}"
         )
+
+
+def free_disk(out: Path) -> int:
+    """Bytes that are free where a folder is, or would be."""
+    return shutil.disk_usage(_existing(out))[2]
+
+
+def _existing(path: Path) -> Path:
+    """The path itself, or the nearest folder around it that is there."""
+    return next(one for one in (path.absolute(), *path.absolute().parents) if os.path.lexists(one))

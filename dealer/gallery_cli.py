@@ -10,7 +10,9 @@ from dealer import gallery_report as report
 from dealer.gallery_mission import deal_galleries, gallery_mission_bytes
 from dealer.gallery_plan import gallery_cost
 from dealer.options import note
+from dealer.words import each_pair, in_seconds
 from protocols.catalog import GalleryPurpose, parse_resolution
+from protocols.memory import in_bytes
 from protocols.thresholds import resolution_warning
 from spdz.console.progress import progress_bar
 
@@ -77,7 +79,7 @@ def _deal(options: argparse.Namespace, purpose: GalleryPurpose) -> None:
     started = time.perf_counter()
     size = gallery_mission_bytes(options.agents, purpose, options.slots, options.security)
     if size > _LARGE:
-        note(options, f"writing about {size / 1e9:.1f} GB in all")
+        note(options, f"writing about {in_bytes(size)} in all")
     with progress_bar("dealing", quiet=options.quiet) as progress:
         dealt = deal_galleries(
             options.out, options.agents, purpose, options.slots, options.security, progress=progress
@@ -97,10 +99,10 @@ def _deal(options: argparse.Namespace, purpose: GalleryPurpose) -> None:
         return
     rows, columns = dealt.capacity
     print(
-        f"dealt a gallery of {rows:,} x {columns:,} descriptors for each of {dealt.pairs} pair(s) of robots, "
-        f"{options.security}, in {seconds:.1f} s"
+        f"dealt a gallery of {rows:,} x {columns:,} descriptors {each_pair(dealt.pairs)}, "
+        f"{options.security}, in {in_seconds(seconds)}"
     )
     for folder, size in dealt.folders.items():
-        print(f"  {folder}: {size / 1e6:.3f} MB")
+        print(f"  {folder}: {in_bytes(size)}")
     print(report.enough_for(options.agents, options.slots))
     print("copy each folder to its robot, and keep no other copy of it")

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from itertools import combinations, islice
 
 from dealer.gallery_plan import GalleryCost
-from dealer.plan import in_seconds
+from dealer.words import in_seconds
 from protocols.catalog import GalleryPurpose
 from protocols.memory import in_bytes
 from protocols.place_purpose import AnyPurpose

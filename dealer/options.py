@@ -21,6 +21,10 @@ _USAGE = """\
    or: %(prog)s --agents NAME NAME ... --score S --dim N (--slots RxC | --maps MxK | --count C)
        (--out DIR | --plan) [options]"""
 
+_DESCRIPTION = """\
+Deal what robots need to compare descriptors privately on a mission: one folder a robot, with a tape of
+one-time correlations for every other robot and a certificate."""
+
 _EPILOG = """\
 examples:
   a team, from a plan (docs/how-to.md): what it takes, and deal it; the same command goes on after a stop:
@@ -98,8 +102,7 @@ def parser() -> argparse.ArgumentParser:
     arguments = CommandParser(
         prog=NAME,
         usage=_USAGE,
-        description="Deal what robots need to compare descriptors privately on a mission: one folder a "
-        "robot, with a tape of one-time correlations for every other robot and a certificate.",
+        description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -16,6 +16,7 @@ from dealer.limits import check_job, dealing_memory
 from dealer.randomness import random_mac_key
 from dealer.recipe import deal_job
 from dealer.tapes import tape_bytes
+from dealer.words import in_seconds
 from protocols.batching import DEALT_BYTES
 from protocols.catalog import Purpose
 from protocols.costs import bytes_sent, job_cost, matching_memory, most_jobs_lost, rounds
@@ -252,11 +253,6 @@ def advice(purpose: Purpose, security: Security) -> str | None:
         f"at {purpose.dim} coordinates. For bags of words, S10 of the square roots x -> sqrt(x / |x|_1) with "
         f"--max-norm 1 takes {in_bytes(less)} (docs/scores.md, bags of words)"
     )
-
-
-def in_seconds(estimate: float) -> str:
-    """A time for people."""
-    return f"{estimate:.2g} s" if estimate < 99.5 else f"{estimate:,.0f} s"
 
 
 def _seconds_a_job(purpose: Purpose, plan: Plan, security: Security) -> float:

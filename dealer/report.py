@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations, islice
 
-from dealer.plan import LINK_BYTES, LINK_ROUND, Impossible, TilePlan, in_seconds
+from dealer.plan import LINK_BYTES, LINK_ROUND, Impossible, TilePlan
+from dealer.words import counted, each_pair, in_seconds
 from protocols.catalog import Purpose
 from protocols.memory import in_bytes
 from spdz.foundations.types import Security
@@ -59,20 +60,22 @@ class Wanted:
 
 def enough_for(plan: TilePlan, wanted: Wanted) -> str:
     """What the dealt jobs suffice for, whose map is which, and what lies beyond."""
-    lost = f"an interruption costs up to {plan.lost_jobs:,} job(s)"
+    lost = f"an interruption costs up to {counted(plan.lost_jobs, 'job')}"
+    most = counted(wanted.interruptions, "interruption")
     room = (
-        f"with up to {wanted.interruptions} interruption(s) in all ({lost}; {plan.spare_jobs:,} spare)"
+        f"with up to {most} in all ({lost}; {plan.spare_jobs:,} spare)"
         if wanted.interruptions
         else f"and no interruption ({lost}; --spare S deals for S of them)"
     )
     if wanted.maps is None:
-        return f"enough for {plan.meeting_jobs:,} jobs of {plan.tile[0]} x {plan.tile[1]} comparisons, {room}"
+        jobs = counted(plan.meeting_jobs, "job")
+        return f"enough for {jobs} of {plan.tile[0]} x {plan.tile[1]} comparisons, {room}"
     m, k = wanted.maps
     couples = [f"{m} of {a} x {k} of {b}" for a, b in islice(combinations(wanted.agents, 2), _NAMED)]
     more = " (and so on for the other pairs)" if wanted.pairs > _NAMED else ""
     return (
-        f"enough for {wanted.meetings:,} meeting(s) of at most {', '.join(couples)} descriptors{more}, "
-        f"{room}; "
+        f"enough for {counted(wanted.meetings, 'meeting')} of at most {', '.join(couples)} descriptors"
+        f"{more}, {room}; "
         "a larger map costs a whole row of tiles more"
     )
 
@@ -128,8 +131,8 @@ def as_text(
         yield ("* " if plan.tile == picked.tile else "  ") + row
     yield f"* {picked.tile[0]}x{picked.tile[1]}: {why}"
     yield (
-        f"with it: {picked.comparisons:,} comparisons in {picked.jobs:,} jobs for each of {wanted.pairs} "
-        f"pair(s) of robots, tapes of {in_bytes(total)} in all; dealing needs "
+        f"with it: {counted(picked.comparisons, 'comparison')} in {counted(picked.jobs, 'job')} "
+        f"{each_pair(wanted.pairs)}, tapes of {in_bytes(total)} in all; dealing needs "
         f"{in_bytes(picked.dealing_memory)} of memory"
     )
     yield enough_for(picked, wanted)

@@ -64,6 +64,7 @@ class FakeAgent:
     def status(self) -> dict[str, Any]:
         why = [{"peer": peer, "why": {"code": text, "text": text}} for peer, text in self.why.items()]
         more = {"gallery": "lidar", "held": 1, "peer_held": 1, "settled": True, "matches": {"verified": 2}}
+        more["state"] = "connected"
         return {"galleries": [{**one, **more} for one in why]}
 
 

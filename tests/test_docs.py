@@ -44,6 +44,7 @@ FOREIGN_OPTIONS = {
     "--nthreads",
     "--nworkers",
 }  # of Dask
+_AGENT = "spdz agent "
 ERRORS = [key for key, item in vars(errors).items() if isinstance(item, type)]
 
 
@@ -75,16 +76,16 @@ def anchors(page: Path) -> set[str]:
 
 
 def run_commands(commands: list[str], folder: Path) -> str:
-    """Run a page's commands in order; a listening robot and the one that connects to it run together."""
+    """Run a page's commands in order; agents, and a listening robot and who calls it, run together."""
     waiting: list[tuple[str, subprocess.Popen[str]]] = []
     outputs = []
-    for command in commands:
+    for command, after in zip(commands, [*commands[1:], ""], strict=True):
         program, *arguments = shlex.split(command)
         assert program == "python", command
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
         process = subprocess.Popen([sys.executable, *arguments], cwd=folder, text=True, **pipes)
         waiting.append((command, process))
-        if "--listen" in arguments:
+        if "--listen" in arguments or (_AGENT in command and _AGENT in after):
             continue
         for shown, running in waiting:
             try:
@@ -139,13 +140,16 @@ def wrong_comments(source: str, block: str, printed: Printed) -> list[str]:
 def follow(page: Path, folder: Path) -> None:
     """Run a page in a folder: Python blocks share one namespace, commands run where they stand between them.
 
-    What a comment behind a ``print`` shows is printed there; a line ``match: ...`` is printed by a command.
+    What a comment behind a ``print`` shows is printed there; lines ``match: ...`` and ``verified: ...`` are
+    printed by a command.
     """
     shown_by_python = Printed()
     namespace: dict[str, object] = {"__name__": "example", "print": shown_by_python}
     ran, printed = 0, ""
     for number, (language, body) in enumerate(FENCE.findall(read(page))):
-        source = body.replace("127.0.0.1:9000", f"127.0.0.1:{free_port()}")
+        source = body
+        for address in ("127.0.0.1:9000", "127.0.0.1:9001"):
+            source = source.replace(address, f"127.0.0.1:{free_port()}")
         if language == "python":
             block = f"{name(page)}, block {number}"
             exec(compile(source, block, "exec"), namespace)
@@ -154,7 +158,7 @@ def follow(page: Path, folder: Path) -> None:
             printed += run_commands(source.splitlines(), folder)
         ran += language in ("python", "bash")
     assert ran >= 4
-    for line in re.findall(r"match: \w+ \d+  \w+ \d+", read(page)):
+    for line in re.findall(r"match: \w+ \d+  \w+ \d+|^verified: .+$", read(page), re.MULTILINE):
         assert line in printed
 
 

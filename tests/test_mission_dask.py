@@ -187,7 +187,7 @@ def test_files_that_cannot_be_read_are_told(tmp_path):
 
 def test_without_the_package_the_command_to_install_it_is_told(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r"pip install 'spdz\[cluster\]'"):
+    with pytest.raises(ValueError, match="pip install distributed"):
         with connected(Cluster("local")):
             pass
 

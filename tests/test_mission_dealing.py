@@ -111,7 +111,7 @@ def test_a_dealer_that_is_stopped_anywhere_goes_on_with_the_same_credentials(tmp
         try:
             deal_team(out, couple, workers=1)
         except FileExistsError as error:
-            assert "was dealt and handed out" in str(error) and handed_out == ["alice", "bob"]
+            assert "was dealt into the robots' folders" in str(error) and handed_out == ["alice", "bob"]
         check_dealt(out, couple)
         assert before in ({}, certificates(out))
         for path in out.rglob("record.json"):
@@ -134,7 +134,7 @@ def test_a_dealer_that_is_stopped_again_and_again_gets_there(tmp_path, mission, 
             except Stop:
                 pass
             except FileExistsError as error:
-                assert "was dealt and handed out" in str(error)
+                assert "was dealt into the robots' folders" in str(error)
                 break
     check_dealt(tmp_path / "m", mission)
     meet(tmp_path / "m", mission, ("alice", "carol"), "both", tmp_path)
@@ -355,7 +355,9 @@ def test_a_second_dealer_is_refused_while_the_first_is_at_work(tmp_path, couple)
 def test_a_finished_mission_is_never_dealt_again_wherever_its_folders_are_now(tmp_path, couple):
     deal_team(tmp_path / "m", couple, workers=1)
     for name in ("alice", "bob"):
-        with pytest.raises(FileExistsError, match="was dealt and handed out, and is never dealt again"):
+        with pytest.raises(
+            FileExistsError, match="was dealt into the robots' folders, and is never dealt again"
+        ):
             deal_team(tmp_path / "m", couple, workers=1)
         shutil.move(tmp_path / "m" / name, tmp_path / name)
     Folder.open(tmp_path / "bob")
@@ -474,8 +476,8 @@ def test_the_command_deals_a_plan_and_goes_on(tmp_path, couple, capsys):
     command = [str(tmp_path / "mission.toml"), "--out", str(tmp_path / "m")]
     assert cli.main([*command, "--workers", "1"]) == 0
     told = capsys.readouterr()
-    assert "dealt 1 galleries for 1 pair(s) of robots" in told.out and "keep no other copy" in told.out
-    assert "1 of 1 galleries had been dealt before" in told.err
+    assert "dealt 1 gallery for 1 pair of robots" in told.out and "keep no other copy" in told.out
+    assert "1 of 1 gallery had been dealt before" in told.err
     check_dealt(tmp_path / "m", couple)
     assert cli.main(command) == 2
     assert "never dealt again" in capsys.readouterr().err
@@ -534,9 +536,12 @@ def test_options_that_do_not_go_together_are_told(capsys, text, says):
 
 @pytest.mark.parametrize("workers", ["0", "-1"])
 def test_no_workers_are_refused(tmp_path, couple, capsys, workers):
-    words = [str(tmp_path / "mission.toml"), "--out", str(tmp_path / "m"), "--workers", workers]
-    assert cli.main(words) == 2
-    assert "at least one worker" in capsys.readouterr().err
+    for what in ("--plan", f"--out={tmp_path / 'm'}"):
+        assert cli.main([str(tmp_path / "mission.toml"), what, "--workers", workers]) == 2
+        told = capsys.readouterr()
+        assert "at least one worker" in told.err and told.out == ""
+    with pytest.raises(ValueError, match="at least one worker"):
+        deal_team(tmp_path / "m", couple, workers=int(workers))
 
 
 def test_plans_that_will_disappoint_come_with_a_note(tmp_path, capsys):

@@ -94,6 +94,20 @@ def test_a_folder_that_is_not_as_it_was_dealt_is_told(alice, damage, says):
         Folder.open(alice)
 
 
+def test_a_tape_of_another_dealing_is_told_by_its_name(alice, dealt, tmp_path):
+    deal_team(tmp_path / "other", Mission.load(dealt.parent / "mission.toml"), workers=1)
+    shutil.copy(tmp_path / "other" / "alice" / "carol.lidar.tape", alice)
+    with pytest.raises(
+        ValueError, match=r"carol.lidar.tape: this tape is of another dealing: copy the folder"
+    ):
+        Folder.open(alice)
+
+
+def test_a_tape_whose_header_is_damaged_is_left_to_its_peer(alice):
+    (alice / "carol.lidar.tape").write_bytes(b"x" * 5000)
+    assert Folder.open(alice).robot == "alice"
+
+
 def test_credentials_of_another_run_are_told(alice, dealt, tmp_path):
     deal_team(tmp_path / "other", Mission.load(dealt.parent / "mission.toml"), workers=1)
     shutil.copy(tmp_path / "other" / "alice" / "ca.pem", alice)

@@ -6,12 +6,13 @@ from dataclasses import replace
 import pytest
 from mission_helpers import COUPLE, TEAM, plan
 
-from dealer import cli
+from dealer import cli, folders
 from dealer.gallery_plan import Seconds
 from dealer.team import forecast as forecasts
 from dealer.team.deal import deal_team
 from dealer.team.forecast import forecast
 from dealer.team.tasks import size_of, tasks_of
+from protocols import memory
 
 
 @pytest.fixture
@@ -61,7 +62,7 @@ def test_the_command_shows_a_plan_and_writes_nothing(tmp_path, capsys):
     plan(tmp_path)
     assert cli.main([str(tmp_path / "mission.toml"), "--plan"]) == 0
     told = capsys.readouterr().out
-    assert "3 robots, 3 pair(s) of them, 6 galleries, 207 pairs of slots" in told
+    assert "3 robots, 3 pairs of them, 6 galleries, 207 pairs of slots" in told
     assert "sonar: sonar S6 <= 0.5 (2 turns), to 2^-16; a slot has 8 numbers" in told
     assert "both: all of lidar S10 >= 0.5, camera S10 >= 0.5, to 2^-16; a slot has 10 numbers" in told
     assert all(f"  {name} " in told for name in ("alice", "bob", "carol"))
@@ -75,8 +76,8 @@ def test_large_teams_are_shown_by_their_extremes(tmp_path, untimed, capsys):
     plan(tmp_path, text.replace("keyframes = 2", "keyframes = 5000"))
     assert cli.main([str(tmp_path / "mission.toml"), "--plan"]) == 0
     told = capsys.readouterr().out
-    assert "190 pair(s)" in told and "(those with the least and the most of 20)" in told
-    assert told.count("\n") < 16
+    assert "190 pairs of them" in told and "(those with the least and the most of 20)" in told
+    assert told.count("\n") < 18
 
 
 def test_a_plan_is_one_json_object(tmp_path, capsys):
@@ -89,3 +90,26 @@ def test_a_plan_is_one_json_object(tmp_path, capsys):
         told["galleries"]["both"]["rule"] == "all" and told["galleries"]["both"]["seconds"]["deal_pair"] > 0
     )
     assert told["dealing_seconds"] > 0 and told["core_seconds"] > 0
+    assert told["free_memory"] > 0 and told["free_disk"] > 0 and told["refusal"] is None
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "there", "says"),
+    [
+        (memory, "available_memory", lambda: 10**7, "dealing needs about 33.6 MB of memory, and 10 MB are"),
+        (folders.shutil, "disk_usage", lambda path: (10**6, 0, 1000), "60.3 kB and 1 kB are free in"),
+    ],
+)
+def test_a_plan_says_that_dealing_would_be_refused(
+    tmp_path, untimed, capsys, monkeypatch, module, name, there, says
+):
+    plan(tmp_path, COUPLE)
+    command = [str(tmp_path / "mission.toml"), "--plan", "--out", str(tmp_path / "m")]
+    assert cli.main(command) == 0
+    told = capsys.readouterr().out
+    assert "of the disk are free\n" in told and "refused" not in told
+    assert "1 pair of them, 1 gallery, 4 pairs of slots" in told and "with 1 worker here" in told
+    monkeypatch.setattr(module, name, there)
+    assert cli.main(command) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "would be refused here" in line)
+    assert says in line and not (tmp_path / "m").exists()

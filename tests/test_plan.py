@@ -211,4 +211,4 @@ def test_of_more_robots_every_pair_is_counted(capsys):
     two = capsys.readouterr().out
     assert cli.main(["--agents", "alice", "bob", "carol", *words("--count 4 --plan")[3:]]) == 0
     three = capsys.readouterr().out
-    assert "each of 3 pair(s)" in three and "each of 1 pair(s)" in two
+    assert "each of 3 pairs of robots" in three and "for a pair of robots, tapes" in two

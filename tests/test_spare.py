@@ -136,8 +136,8 @@ def test_a_count_is_dealt_exactly_unless_spare_jobs_are_asked_for(tmp_path, caps
 def test_the_note_says_whose_map_is_which_and_what_the_tapes_suffice_for(tmp_path, capsys, plan):
     assert cli.main(words(tmp_path / "m", "--meetings", "2", *["--plan"] * plan)) == 0
     shown = capsys.readouterr().out
-    assert "2 meeting(s) of at most 4 of alice x 6 of bob descriptors" in shown
-    assert "up to 3 interruption(s) in all" in shown and "up to 6 job(s); 18 spare" in shown
+    assert "2 meetings of at most 4 of alice x 6 of bob descriptors" in shown
+    assert "up to 3 interruptions in all" in shown and "up to 6 jobs; 18 spare" in shown
     assert "a larger map costs a whole row of tiles" in shown
 
 

@@ -11,7 +11,7 @@ import pytest
 from agent_helpers import deal, near, places, plan
 from stack_helpers import ROLE, FakeAgent, News, cloud, descriptors, unit
 
-pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install rosbags")
 
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import get_types_from_msg
@@ -206,14 +206,25 @@ def test_replay_shows_what_is_found_and_ends_when_all_is_settled(tmp_path):
     assert [news.number for news in shown] == [1, 2]
 
 
-@pytest.mark.parametrize("lacks", ["settled", "held"])
-def test_replay_does_not_end_before_all_is_compared(monkeypatch, lacks):
+def lingered(monkeypatch, **until_100):
+    """When a replay ends that waits for 5 quiet seconds, with a gallery that is otherwise for 100 seconds."""
     clock, agent = Slept(), FakeAgent(why={"bob": ""})
     monkeypatch.setattr("protocols.stacks.replay.time.sleep", clock.sleep)
     (settled,) = agent.status()["galleries"]
-    agent.status = lambda: {"galleries": [settled if clock.now > 100 else {**settled, lacks: 0}]}
+    agent.status = lambda: {"galleries": [settled if clock.now > 100 else settled | until_100]}
     Replay(agent, SwarmSlam(agent, ROLE), clock=clock).linger(5.0, threading.Event())
-    assert 105 < clock.now < 106
+    return clock.now
+
+
+def test_replay_does_not_end_before_all_is_compared_with_who_is_there(monkeypatch):
+    assert 105 < lingered(monkeypatch, settled=False) < 106
+
+
+@pytest.mark.parametrize(
+    "without", [{"settled": False, "held": 0, "state": "waiting"}, {"held": 0}, {"state": "stopped"}]
+)
+def test_replay_ends_where_the_peer_is_away_or_nothing_was_taken(monkeypatch, without):
+    assert 5 < lingered(monkeypatch, **without) < 6
 
 
 # -- two agents from one bag ------------------------------------------------------------------------
@@ -243,7 +254,7 @@ def test_two_robots_replay_one_bag_and_find_what_the_clear_computation_finds(tmp
     write_bag(tmp_path / "team", sorted(messages, key=lambda message: message[0]))
     port = free_port()
     sides = {"alice": ["--listen", f"127.0.0.1:{port}"], "bob": ["--peer", f"alice=127.0.0.1:{port}"]}
-    how = ["--speed", "5", "--json", "--until-quiet", "4"]
+    how = ["--speed", "5", "--json", "--until-quiet", "8"]
     processes = [
         subprocess.Popen(
             [*REPLAY, str(tmp_path / "team"), "--mission", str(mission / robot), *how, *where],
@@ -275,3 +286,29 @@ def test_replaying_a_bag_that_is_none_is_one_json_error(tmp_path):
     )
     assert done.returncode == 2 and done.stderr == ""
     assert "is no bag" in json.loads(done.stdout)["message"]
+
+
+@pytest.mark.parametrize("ends", ["--until-quiet=0.5", "--for=3"])
+def test_a_replay_without_its_peer_ends_and_says_what_was_refused_and_why_nothing_matched(tmp_path, ends):
+    mission = deal(tmp_path, plan(dim=8))
+    vectors = [3.0 * unit(number) for number in range(6)]
+    messages = [
+        (1.0, TOPIC, GlobalDescriptors((GlobalDescriptor(number, 0, vector),)))
+        for number, vector in enumerate(vectors)
+    ]
+    write_bag(tmp_path / "bag", messages)
+    where = ["--mission", str(mission / "alice"), "--listen", "127.0.0.1:0", ends]
+    done = subprocess.run(
+        [*REPLAY, str(tmp_path / "bag"), *where], capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 0 and done.stdout == ""
+    refusals = [line for line in done.stderr.splitlines() if line.startswith("keyframe ")]
+    assert len(refusals) == 5 and "norm of 3, the plan says 0 to 1 (--normalise divides" in refusals[0]
+    assert "in all: 6 received, 6 refused (1 more than is told above)" in done.stderr
+    assert "this robot has no keyframes yet" in done.stderr
+
+
+def test_a_speed_that_is_no_number_is_told(tmp_path):
+    words = [*REPLAY, str(tmp_path), "--mission", str(tmp_path), "--speed", "fast"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 2 and "expected a number or max, not 'fast'" in done.stderr

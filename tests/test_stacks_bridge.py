@@ -21,6 +21,7 @@ class Wire:
 
     def __init__(self):
         self.incoming, self.published, self.reader, self.writing = [], [], True, 0
+        self.nobody = None
 
     def take(self, seconds):
         taken, self.incoming = self.incoming, []
@@ -29,6 +30,9 @@ class Wire:
     def publish(self, message):
         require_public(message)
         self.published.append(message)
+
+    def silence(self):
+        return self.nobody
 
     def writers(self):
         return self.writing
@@ -102,6 +106,14 @@ def test_silence_on_the_descriptors_topic_is_told_ever_more_rarely(parts, writin
     now[0] += 1000
     bridge.step(0.0)
     assert len(said) == 3
+
+
+def test_that_nobody_answers_is_told_after_some_seconds(parts):
+    bridge, wire, _, said, now = parts
+    wire.nobody, wire.writing = "no router answers at tcp/localhost:7447", None
+    for now[0] in (0.0, 9.0, 11.0, 12.0):
+        bridge.step(0.0)
+    assert [sentence for sentence in said if "answers" in sentence] == [f"{wire.nobody} (a test)"]
 
 
 def test_that_nobody_reads_is_told_with_the_topics(parts):

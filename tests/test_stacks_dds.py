@@ -15,7 +15,7 @@ import pytest
 from stack_helpers import ROLE, FakeAgent, News, cloud, descriptors, unit
 
 pytest.importorskip("cyclonedds", reason="cyclonedds has no wheel for this machine")
-pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install rosbags")
 
 from protocols.stacks.bridge import Bridge, give
 from protocols.stacks.codec import Codec

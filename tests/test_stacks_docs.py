@@ -13,7 +13,7 @@ import pytest
 from agent_helpers import deal, places, plan
 from stack_helpers import News, cloud
 
-pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install rosbags")
 
 from bench.parties import free_port
 from protocols.agent import Keyframe, Meeting

@@ -24,7 +24,7 @@ from protocols.stacks.messages import (
     ros_name,
 )
 
-pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install rosbags")
 
 from protocols.stacks.codec import Codec, from_foreign
 

@@ -11,22 +11,21 @@ from protocols.stacks.topics import topics
 from protocols.stacks.zenoh import Zenoh
 
 NEEDS = {
-    "cyclonedds": (lambda path: Dds(topics()), "use --transport zenoh"),
-    "zenoh": (lambda path: Zenoh(topics()), "eclipse-zenoh"),
-    "rosbags": (lambda path: Bag(path), "rosbags"),
-    "rosbags.rosbag2": (lambda path: write_bag(path, []), "rosbags"),
+    "cyclonedds": (lambda path: Dds(topics()), "pip install cyclonedds; .* use --transport zenoh"),
+    "zenoh": (lambda path: Zenoh(topics()), "pip install eclipse-zenoh "),
+    "rosbags": (lambda path: Bag(path), "pip install rosbags "),
+    "rosbags.rosbag2": (lambda path: write_bag(path, []), "pip install rosbags "),
 }
 
 
 @pytest.mark.parametrize(("module", "made"), NEEDS.items(), ids=NEEDS)
 def test_a_package_that_is_missing_is_named_with_its_command(tmp_path, monkeypatch, module, made):
-    use, word = made
+    use, says = made
     for name in [name for name in sys.modules if name == module or name.startswith(f"{module}.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ValueError, match=r"pip install 'spdz\[ros\]'") as told:
+    with pytest.raises(ValueError, match=says):
         use(tmp_path / "bag")
-    assert word in str(told.value)
 
 
 def test_the_commands_load_none_of_them():

@@ -15,7 +15,7 @@ from agent_helpers import deal, near, places, plan
 from stack_helpers import cloud
 
 pytest.importorskip("cyclonedds", reason="cyclonedds has no wheel for this machine")
-pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install rosbags")
 
 from bench.parties import free_port
 from protocols.stacks.codec import from_foreign

@@ -13,8 +13,8 @@ import pytest
 from agent_helpers import deal, places, plan
 from stack_helpers import ROLE, FakeAgent, News, cloud, descriptors, unit
 
-pytest.importorskip("zenoh", reason="needs eclipse-zenoh: pip install 'spdz[ros]'")
-pytest.importorskip("rosbags", reason="needs rosbags: pip install 'spdz[ros]'")
+pytest.importorskip("zenoh", reason="needs eclipse-zenoh: pip install eclipse-zenoh")
+pytest.importorskip("rosbags", reason="needs rosbags: pip install rosbags")
 
 import zenoh
 
@@ -190,6 +190,15 @@ def test_what_comes_faster_than_it_is_taken_is_lost_with_a_word(graph, monkeypat
         transport._heard(GlobalDescriptors, data)
     *_, last = transport.take(0.01)
     assert isinstance(last, ValueError) and "3 messages were lost" in str(last)
+
+
+@pytest.mark.parametrize("keys", ["rmw"], indirect=True)
+def test_a_router_that_is_not_there_is_told_with_its_endpoint(graph, keys):
+    transport, others = graph
+    wait_for(lambda: transport.silence() is None)
+    others.session.close()
+    wait_for(lambda: transport.silence() is not None)
+    assert "no Zenoh router or peer answers at tcp/127.0.0.1:" in transport.silence()
 
 
 def test_a_configuration_that_is_none_is_refused(tmp_path, monkeypatch):

@@ -63,6 +63,38 @@ def test_a_bad_descriptor_is_refused_by_name_and_the_next_one_is_taken(vector, w
     assert len(said) == 1 and "keyframe 7" in said[0] and why in said[0]
 
 
+@pytest.mark.parametrize(
+    ("norms", "length", "says"),
+    [
+        (
+            (0.99, 1.0),
+            3.0,
+            "norm of 3, the plan says 0.99 to 1 (--normalise divides every descriptor by its norm",
+        ),
+        ((0.99, 1.0), 0.5, "norm of 0.5, the plan says 0.99 to 1 (--normalise"),
+        ((2.0, 4.5), 9.0, "norm of 9, the plan says 2 to 4.5 (deal for other norms)"),
+    ],
+)
+def test_a_norm_that_the_plan_is_not_for_is_refused_with_what_to_do(norms, length, says):
+    slam, agent, said = adapter(role=replace(ROLE, norms=norms))
+    slam.take(one(3, length * unit(3)))
+    assert agent.added == {} and len(said) == 1 and says in said[0]
+
+
+def test_what_the_agent_says_of_a_keyframe_names_it_once():
+    slam, _, said = adapter()
+    slam.take(one(3, 2 * unit(3)))
+    assert said == ["keyframe 3: lidar: its norm is above 1; refused"]
+
+
+def test_refusals_that_were_not_told_are_counted():
+    slam, _, said = adapter()
+    for number in range(10):
+        slam.take(one(number, unit(3, 5)))
+        assert slam.untold == [0, 0, 0, 0, 0, 1, 2, 0, 1, 2][number]
+    assert len(said) == 6 and said[-1].endswith("(8 times by now)")
+
+
 def test_a_refused_keyframe_can_come_again_in_good_order():
     slam, agent, _ = adapter()
     slam.take(one(7, 2 * unit(7)))

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from pathlib import Path
 
 from dealer.options import note
 from dealer.team import report
 from dealer.team.advice import advice
 from dealer.team.cluster import Cluster
-from dealer.team.deal import Dealt, deal_team
+from dealer.team.deal import Dealt, deal_team, look_round
 from dealer.team.forecast import forecast
+from dealer.words import counted, in_seconds
+from protocols.memory import in_bytes
 from protocols.mission import Mission
 from spdz.console.progress import progress_bar
 
@@ -31,7 +34,10 @@ def run(options: argparse.Namespace) -> None:
         _deal(options, mission)
         return
     cost = forecast(mission, options.workers)
-    for line in [report.as_json(mission, cost)] if options.json else report.as_text(mission, cost):
+    here = look_round(options.out or Path(), mission, workers=options.workers, cluster=_cluster(options))
+    for line in (
+        [report.as_json(mission, cost, here)] if options.json else report.as_text(mission, cost, here)
+    ):
         print(line, flush=True)
 
 
@@ -50,13 +56,16 @@ def _deal(options: argparse.Namespace, mission: Mission) -> None:
         print(json.dumps(_fields(mission, dealt, seconds)))
         return
     if dealt.resumed:
-        note(options, f"{dealt.resumed} of {dealt.tasks} galleries had been dealt before")
+        note(
+            options,
+            f"{dealt.resumed} of {counted(dealt.tasks, 'gallery', 'galleries')} had been dealt before",
+        )
     print(
-        f"dealt {dealt.tasks} galleries for {len(mission.pairs)} pair(s) of robots, {mission.security}, in "
-        f"{seconds:.1f} s"
+        f"dealt {counted(dealt.tasks, 'gallery', 'galleries')} for {counted(len(mission.pairs), 'pair')} of "
+        f"robots, {mission.security}, in {in_seconds(seconds)}"
     )
     for folder, size in dealt.folders.items():
-        print(f"  {folder}: {size / 1e6:.3f} MB")
+        print(f"  {folder}: {in_bytes(size)}")
     print("copy each folder to its robot, and keep no other copy of it")
 
 

@@ -241,7 +241,7 @@ def connected(cluster: Cluster) -> Iterator[Any]:
         from distributed.security import Security
     except ImportError as error:
         raise ValueError(
-            "dealing on a cluster takes the package distributed: pip install 'spdz[cluster]'"
+            "dealing on a cluster takes the package distributed: pip install distributed"
         ) from error
     security: Any = None
     with ExitStack() as stack:

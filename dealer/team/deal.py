@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from dealer.folders import check_disk
+from dealer.folders import check_disk, free_disk
 from dealer.team.cluster import Cluster, deal_on_cluster
 from dealer.team.handout import hand_out
 from dealer.team.here import cores, deal_here
@@ -66,16 +66,9 @@ def deal_team(
         raise ValueError(f"deal with at least one worker, not {workers}")
     if cluster is not None:
         cluster.check()
-    sizes = {task: size_of(mission, task) for task in tasks_of(mission)}
+    sizes = _sizes(mission)
     largest = max(size.memory for size in sizes.values())
-    if cluster is None:
-        require_memory(
-            largest * (workers or 1),
-            "dealing",
-            "give fewer --workers, plan for fewer keyframes, or deal elsewhere",
-        )
-    if not (out / ROOM).exists():
-        check_disk(out, sum(sum(size.tape_bytes) for size in sizes.values()), _REMEDY)
+    _require_room(out, sizes, workers, cluster)
     with opened_room(out, mission) as room:
         left = [task for task in sizes if room.record(task) is None]
         check_disk(out, sum(sum(sizes[task].tape_bytes) for task in left), _REMEDY)
@@ -83,6 +76,49 @@ def deal_team(
             pairs = sum(sizes[task].pairs for task in left)
             _deal(room, sizes, left, workers or workers_for(largest, pairs), cluster, progress)
         return Dealt(room.mission_id, hand_out(room), len(sizes), len(sizes) - len(left))
+
+
+@dataclass(frozen=True, slots=True)
+class Here:
+    """What there is to deal with.
+
+    Attributes:
+        free_memory: Bytes of memory of this machine.
+        free_disk: Bytes of the disk that the robots' folders would be on.
+        refusal: Why a mission would not be dealt here; None if it would.
+    """
+
+    free_memory: int
+    free_disk: int
+    refusal: str | None
+
+
+def look_round(
+    out: Path, mission: Mission, *, workers: int | None = None, cluster: Cluster | None = None
+) -> Here:
+    """What there is to deal a mission with; arguments as for :func:`deal_team`. Nothing is written."""
+    refusal = None
+    try:
+        _require_room(out, _sizes(mission), workers, cluster)
+    except (ValueError, OSError) as error:
+        refusal = str(error)
+    return Here(available_memory(), free_disk(out), refusal)
+
+
+def _sizes(mission: Mission) -> dict[Task, Size]:
+    return {task: size_of(mission, task) for task in tasks_of(mission)}
+
+
+def _require_room(out: Path, sizes: dict[Task, Size], workers: int | None, cluster: Cluster | None) -> None:
+    """Refuse what there is no memory for, or no room on the disk of a dealing that has not begun."""
+    if cluster is None:
+        require_memory(
+            max(size.memory for size in sizes.values()) * (workers or 1),
+            "dealing",
+            "give fewer --workers, plan for fewer keyframes, or deal elsewhere",
+        )
+    if not (out / ROOM).exists():
+        check_disk(out, sum(sum(size.tape_bytes) for size in sizes.values()), _REMEDY)
 
 
 def _deal(

@@ -36,9 +36,9 @@ def add_mission(arguments: argparse.ArgumentParser) -> None:
     add(
         "--scheduler",
         metavar="ADDRESS",
-        help="deal on a Dask cluster: tls://HOST:PORT of its scheduler (needs the extra `cluster`); all its "
-        "workers must see --out as the same folder at the same path, and they see the secrets of both robots "
-        "of a pair. `local` starts a cluster of --workers processes here",
+        help="deal on a Dask cluster: tls://HOST:PORT of its scheduler (needs the package distributed); all "
+        "its workers must see --out as the same folder at the same path, and they see the secrets of both "
+        "robots of a pair. `local` starts a cluster of --workers processes here",
     )
     add(
         "--tls-ca",
@@ -61,6 +61,8 @@ def settle(options: argparse.Namespace) -> str | None:
     Returns:
         A sentence, or None if all is well.
     """
+    if options.workers is not None and options.workers < 1:
+        return f"--workers: deal with at least one worker, not {options.workers}"
     given = {name for name, value in vars(options).items() if value is not None and value is not False}
     if options.mission is not None:
         if others := sorted(given - set(_WITH_PLAN)):

@@ -6,8 +6,9 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict
 
-from dealer.plan import in_seconds
+from dealer.team.deal import Here
 from dealer.team.forecast import Forecast, RobotCost
+from dealer.words import counted, in_seconds
 from protocols.memory import in_bytes
 from protocols.mission import Mission
 
@@ -16,20 +17,21 @@ _FEW = 8
 """Robots that get a row of their own."""
 
 
-def as_json(mission: Mission, cost: Forecast) -> str:
+def as_json(mission: Mission, cost: Forecast, here: Here) -> str:
     """One object."""
-    fields = asdict(cost)
+    fields = asdict(cost) | asdict(here)
     for one in mission.galleries:
         fields["galleries"][one.name] |= {**one.description(), "security": mission.security}
     return json.dumps({"digest": mission.digest, "pairs": len(mission.pairs), **fields})
 
 
-def as_text(mission: Mission, cost: Forecast) -> Iterator[str]:
+def as_text(mission: Mission, cost: Forecast, here: Here) -> Iterator[str]:
     """Tables, and what their columns mean."""
     named = f" {mission.name!r}" if mission.name else ""
     yield (
-        f"plan: mission{named}, {mission.security}: {len(mission.agents)} robots, {len(mission.pairs)} "
-        f"pair(s) of them, {cost.tasks} galleries, {cost.pairs_of_slots:,} pairs of slots"
+        f"plan: mission{named}, {mission.security}: {len(mission.agents)} robots, "
+        f"{counted(len(mission.pairs), 'pair')} of them, {counted(cost.tasks, 'gallery', 'galleries')}, "
+        f"{counted(cost.pairs_of_slots, 'pair')} of slots"
     )
     for one in mission.galleries:
         largest = cost.galleries[one.name]
@@ -56,9 +58,12 @@ def as_text(mission: Mission, cost: Forecast) -> Iterator[str]:
         yield f"  (those with the least and the most of {len(cost.robots)})"
     yield (
         f"dealing: {in_bytes(cost.tape_bytes)} in all, {in_seconds(cost.dealing_seconds)} with "
-        f"{cost.workers} worker(s) here ({in_seconds(cost.core_seconds)} of one core), and "
+        f"{counted(cost.workers, 'worker')} here ({in_seconds(cost.core_seconds)} of one core), and "
         f"{in_bytes(cost.dealing_memory)} of memory"
     )
+    yield f"here: {in_bytes(here.free_memory)} of memory and {in_bytes(here.free_disk)} of the disk are free"
+    if here.refusal is not None:
+        yield f"dealing would be refused here: {here.refusal}"
     yield "the columns:"
     yield "  tapes     on the robot's disk; exact"
     yield "  sends     until all is compared; exact, without frames, agreements and checks"

@@ -148,8 +148,8 @@ def _reentered(out: Path, mission: Mission) -> Room:
     if room.finished.exists():
         room.close()
         raise FileExistsError(
-            f"{out}: this mission was dealt and handed out, and is never dealt again: robots that had other "
-            "halves could not meet. Choose another --out for a new one"
+            f"{out}: this mission was dealt into the robots' folders, and is never dealt again: robots that "
+            "had other halves could not meet. Choose another --out for a new one"
         )
     room.clear()
     return room

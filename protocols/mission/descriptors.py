@@ -101,11 +101,12 @@ def _descriptor(name: str, table: Table, agents: Sequence[str]) -> DescriptorPla
     table.only(*_FIELDS)
     kind = None
     if "kind" in table:
-        kind = KINDS[table.choice("kind", KINDS)]
+        kind = _kind(table)
     purpose = _purpose(table, kind)
     threshold = table.number("threshold", kind.threshold if kind else None)
     if is_hopeless(purpose, threshold):
-        raise table.error(threshold_warning(purpose, threshold) or "no pair can pass it", "threshold")
+        why = threshold_warning(purpose, threshold) or "no pair can pass it"
+        raise table.error(why if kind is None else f"{kind.label}: {why}", "threshold")
     return DescriptorPlan(
         name=name,
         kind=None if kind is None else kind.name,
@@ -114,6 +115,14 @@ def _descriptor(name: str, table: Table, agents: Sequence[str]) -> DescriptorPla
         keyframes=_keyframes(table, agents),
         turns=table.whole("turns", 1, MOST_TURNS, 1),
     )
+
+
+def _kind(table: Table) -> Kind:
+    name = table.text("kind")
+    if name not in KINDS:
+        labels = ", ".join(kind.label for kind in KINDS.values())
+        raise table.error(f"expected one of {labels}, not {shown(name)}", "kind")
+    return KINDS[name]
 
 
 def _purpose(table: Table, kind: Kind | None) -> GalleryPurpose:

@@ -10,6 +10,8 @@ from pathlib import Path
 from protocols.mission.errors import PlanError
 from protocols.mission.mission import Mission, canonical
 from spdz.channels.credentials import check_credentials
+from spdz.foundations.errors import TapeError
+from spdz.gallery.format import read_gallery_header
 
 PLAN_FILE = "plan.json"
 _MOST_BYTES = 1 << 22
@@ -34,9 +36,9 @@ class Folder:
 
     @classmethod
     def open(cls, path: str | Path) -> Folder:
-        """Read and check a folder: its plan, whose credentials are in it, and that no tape is missing.
+        """Read and check a folder: its plan, whose credentials are in it, that all tapes are of its dealing.
 
-        Tapes are not opened: one that is damaged or used up concerns its peer alone.
+        Of the tapes only the headers are read: one that is damaged or used up concerns its peer alone.
 
         Raises:
             ValueError: saying what is wrong with it, and what to do.
@@ -52,6 +54,11 @@ class Folder:
                 f"{path} lacks {', '.join(missing[:3])}{more}: the folder was not copied as a whole. Copy "
                 "what is missing from where the dealer wrote it, and nothing that was used already"
             )
+        for tape in folder.tapes():
+            if _dealing(tape) not in (None, mission_id):
+                raise ValueError(
+                    f"{tape}: this tape is of another dealing: copy the folder again, as a whole"
+                )
         return folder
 
     @property
@@ -82,6 +89,15 @@ def tape_name(peer: str, gallery: str) -> str:
 def plan_file(mission: Mission, robot: str, mission_id: str) -> bytes:
     """The content of a robot's ``plan.json``."""
     return canonical({"mission": mission.as_json(), "robot": robot, "id": mission_id})
+
+
+def _dealing(tape: Path) -> str | None:
+    """The mission's id in a tape's header; None where there is none to be read."""
+    try:
+        with tape.open("rb") as file:
+            return read_gallery_header(file.fileno(), tape)[0].mission
+    except (OSError, TapeError):
+        return None
 
 
 def _plan(folder: Path) -> tuple[Mission, str, str]:

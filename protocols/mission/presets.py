@@ -38,6 +38,11 @@ class Kind:
     max_norm: float = 1.0
     min_norm: float = _UNIT
 
+    @property
+    def label(self) -> str:
+        """Its name and, in short, what it is: ``D5 (Scan Context)``."""
+        return f"{self.name} ({self.title.partition(',')[0]})"
+
 
 D1 = Kind("D1", "DBoW2, as square roots of a bag of words projected to 1,024 numbers", 1024, threshold=0.5)
 """The paper has the L1 distance of bags of 10^3 to 10^6 words, which is S1, or S2 of normalised bags.
@@ -50,7 +55,7 @@ keeps, up to the projection (about 0.03), and some more. For the paper's own sco
 the number of words, a threshold for the distance; ``--plan`` tells the size first.
 """
 
-D2 = Kind("D2", "NetVLAD after PCA, whitening and normalisation", 4096)
+D2 = Kind("D2", "NetVLAD, after PCA, whitening and normalisation", 4096)
 """4096 numbers as in the paper and in Arandjelovic et al. (CVPR 2016). 0.8 is the upper end of the inner
 products that D2SLAM uses (0.6 to 0.8). DOOR-SLAM has 128 numbers and an L2 distance of 0.13: ``dim = 128``,
 ``threshold = 0.99155`` is the same.

@@ -6,6 +6,7 @@ statements, each as few lines as parse by themselves, and what a statement parse
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from protocols.mission.errors import PlanError
 FieldPath: TypeAlias = tuple[str | int, ...]
 """Keys and places in lists, from the outermost."""
 
+_TWICE = re.compile(r"Cannot declare \((.*)\) twice")
 _MOST_BYTES = 1 << 20
 _MOST_LINES = 400
 """Lines of one statement; behind a longer one no positions are told."""
@@ -32,7 +34,7 @@ class Source:
 
     Attributes:
         name: The file, for people.
-        text: Its text; None of one that is no TOML, or that has no lines to tell.
+        text: Its text; None of one that is not valid TOML, or that has no lines to tell.
     """
 
     name: str
@@ -60,7 +62,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], Source]:
     """Read a TOML file.
 
     Raises:
-        PlanError: It cannot be read, is too large, or is no TOML: with the line.
+        PlanError: It cannot be read, is too large, or is not valid TOML: with the line.
     """
     source = Source(str(path))
     try:
@@ -79,16 +81,20 @@ def read_toml(path: Path) -> tuple[dict[str, Any], Source]:
         return tomllib.loads(text), Source(str(path), text)
     except tomllib.TOMLDecodeError as error:
         where, message = _line_in(str(error), text)
-        raise PlanError(f"no TOML: {message}", file=str(path), line=where) from error
+        raise PlanError(f"not valid TOML: {message}", file=str(path), line=where) from error
     except RecursionError as error:
         raise source.error((), "no plan: brackets within brackets without end") from error
 
 
 def _line_in(message: str, text: str) -> tuple[int | None, str]:
-    """The reader's own message, and the line that it names at its end."""
+    """The reader's own message, or a plainer one, and the line that it names at its end."""
     what, found, place = message.rpartition(" (at ")
     if not found:
         return None, message
+    if (twice := _TWICE.fullmatch(what)) is not None:
+        table = ".".join(re.findall(r"'([^']*)'", twice[1]))
+        what = f"the table [{table}] is there twice"
+        what += "; write [[agents]], once for each robot" if table == "agents" else ""
     if place.startswith("line "):
         number = place.removeprefix("line ").partition(",")[0]
         return (int(number), what) if number.isdigit() else (None, message)
@@ -114,7 +120,8 @@ def _positions(text: str) -> dict[FieldPath, int]:
             return found
         if statement.lstrip().startswith("["):
             table = _numbered(parsed, counts, is_list=statement.lstrip().startswith("[["))
-            found.setdefault(table, at + 1)
+            for depth in range(1, len(table) + 1):
+                found.setdefault(table[:depth], at + 1)
         else:
             for path in _paths(parsed):
                 found.setdefault((*table, *path), at + 1)

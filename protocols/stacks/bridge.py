@@ -68,6 +68,9 @@ class Bridge:
         for message in self.transport.take(seconds):
             give(self.adapter, message)
         self.adapter.late()
+        silence = self.transport.silence()
+        if not self._told("silence", silence is None):
+            self.say(f"{silence} ({self.transport.where})")
         if not self._told("descriptors", self.adapter.counts["received"] > 0):
             writers = self.transport.writers()
             known = {None: "", 0: "; nobody writes there"}.get(writers, f"; {writers} write there")

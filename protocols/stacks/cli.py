@@ -9,8 +9,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,6 +31,8 @@ from spdz.console.command import say_error
 from spdz.foundations.errors import SpdzError
 
 Source = TypeVar("Source", Transport, Bag)
+
+_REFUSED = "refused: "
 
 _ROS = """\
 Takes the place of Swarm-SLAM's loop-closure detection node: reads this robot's own descriptors
@@ -119,8 +121,10 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         type=float,
         default=10.0,
         metavar="S",
-        help="after the last message, end when all is compared and nothing new has come for so long (10)",
+        help="after the last message, end when nothing new has come for so long, and every peer is settled "
+        "or not connected (10)",
     )
+    add("--for", dest="seconds", type=float, metavar="S", help="end after so many seconds, whatever is left")
     _add_common(add)
     arguments.set_defaults(run=run_replay)
 
@@ -178,14 +182,30 @@ def run_replay(options: argparse.Namespace) -> int:
     def work(bag: Bag, agent: Agent, adapter: SwarmSlam, ended: threading.Event) -> None:
         _tell(options, "reading", f"reading {', '.join(bag.topics)} of {bag.path}")
         replay = Replay(agent, adapter, options.speed, show=lambda match: _show(options, match))
-        replay.feed(bag, ended)
-        _tell(options, "fed", f"{adapter.counts['added']} keyframes of the bag are with the agent")
-        replay.linger(options.quiet_seconds, ended)
+        with _ending_after(options.seconds, ended):
+            replay.feed(bag, ended)
+            _tell(options, "fed", f"{adapter.counts['added']} keyframes of the bag are with the agent")
+            replay.linger(options.quiet_seconds, ended)
 
     def bag() -> Bag:
         return Bag(options.bag, options.topic, _payload(options))
 
     return _run(options, "python -m spdz replay", bag, work, team=True)
+
+
+@contextmanager
+def _ending_after(seconds: float | None, ended: threading.Event) -> Iterator[None]:
+    """Within the context ``ended`` is set after so many seconds, if any are given."""
+    if seconds is None:
+        yield
+        return
+    timer = threading.Timer(seconds, ended.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _run(
@@ -219,7 +239,7 @@ def _run(
                 signal.signal(number, lambda *_: ended.set())
             work(source, agent, adapter, ended)
         teller.join(timeout=5.0)
-        _report(options, adapter.report(agent.status()))
+        _report(options, adapter.report(agent.status()), adapter.untold)
     except (ValueError, OSError, SpdzError) as error:
         say_error(name, type(error).__name__, str(error), as_json=options.json)
         return 1 if isinstance(error, SpdzError) else 2
@@ -249,7 +269,10 @@ def _payload(options: argparse.Namespace) -> type | None:
 
 
 def _speed(text: str) -> float:
-    return math.inf if text == "max" else float(text)
+    try:
+        return math.inf if text == "max" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a number or max, not {text!r:.40}") from None
 
 
 def _tell_events(agent: Agent, options: argparse.Namespace) -> None:
@@ -269,14 +292,21 @@ def _show(options: argparse.Namespace, match: Any) -> None:
     write_line(sys.stdout, json.dumps(Event.of(shown).as_json()) if options.json else str(shown))
 
 
-def _report(options: argparse.Namespace, report: dict[str, Any]) -> None:
+def _report(options: argparse.Namespace, report: dict[str, Any], untold: int) -> None:
     if options.json:
         print(json.dumps({"event": "report", **report}), flush=True)
     elif not options.quiet:
-        counts = ", ".join(f"{count} {what}" for what, count in report["counts"].items() if count)
-        print(f"in all: {counts or 'nothing came'}", file=sys.stderr)
+        print(f"in all: {_counts(report['counts'], untold) or 'nothing came'}", file=sys.stderr)
         for peer, states in report["matches"].items():
             found = ", ".join(f"{count} {state}" for state, count in states.items())
             print(f"matches with {peer}: {found or 'none'}", file=sys.stderr)
         for why in report["why"].values():
             print(why["text"], file=sys.stderr)
+
+
+def _counts(counts: Mapping[str, int], untold: int) -> str:
+    """Counts in words; whatever was refused is one of them."""
+    refused = sum(count for what, count in counts.items() if what.startswith(_REFUSED))
+    told = [f"{count} {what}" for what, count in counts.items() if count and not what.startswith(_REFUSED)]
+    more = f" ({untold} more than is told above)" if untold else ""
+    return ", ".join([*told, *([f"{refused} refused{more}"] if refused else [])])

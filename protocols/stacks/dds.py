@@ -192,6 +192,10 @@ class Dds:
         except DDSException as error:
             raise OSError(f"a message could not be written on {self.where}: {error}") from error
 
+    def silence(self) -> None:
+        """None: a DDS graph needs nobody in its middle."""
+        return None
+
     def writers(self) -> int:
         """How many others write descriptors."""
         return len(self._readers[GlobalDescriptors].get_matched_publications())

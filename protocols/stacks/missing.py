@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-EXTRA = "spdz[ros]"
-
 
 @contextmanager
 def needs(package: str, instead: str = "") -> Iterator[None]:
@@ -23,5 +21,5 @@ def needs(package: str, instead: str = "") -> Iterator[None]:
         yield
     except ImportError as error:
         raise ValueError(
-            f"this needs the package {package}: pip install '{EXTRA}'{instead} ({error})"
+            f"this needs the package {package}: pip install {package}{instead} ({error})"
         ) from error

@@ -64,13 +64,13 @@ class Replay:
         time.sleep(max(0.0, deadline - self.clock()))
 
     def linger(self, quiet_seconds: float, ended: threading.Event) -> None:
-        """Go on until all is compared and settled, and nothing has changed for so many seconds."""
+        """Go on until nothing has changed for so many seconds, with every peer settled or not connected."""
         state: object = None
         since = self.clock()
         while not ended.is_set() and self.clock() - since < quiet_seconds:
             self.look(_SLICE)
             galleries = self.agent.status()["galleries"]
-            now = [(one["held"], one["peer_held"], one["settled"]) for one in galleries]
-            if now != state or not all(one["settled"] and one["held"] for one in galleries):
+            now = [(one["held"], one["peer_held"], one["settled"], one["state"]) for one in galleries]
+            if now != state or any(one["state"] == "connected" and not one["settled"] for one in galleries):
                 state, since = now, self.clock()
         self.look(0.0)

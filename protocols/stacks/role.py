@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ class Role:
         dim: Numbers of a descriptor.
         weight: What a match weighs whose verification gave no weight: the threshold, where the score is a
             similarity (the score is at least that); else 1.
+        norms: The smallest and the largest L2 norm of a descriptor.
     """
 
     robot: str
@@ -27,6 +29,7 @@ class Role:
     descriptor: str
     dim: int
     weight: float = 1.0
+    norms: tuple[float, float] = (0.0, math.inf)
 
     @property
     def id(self) -> int:
@@ -62,4 +65,5 @@ def role_of(mission: Mission, robot: str, descriptor: str | None = None) -> Role
         plan.name,
         plan.purpose.dim,
         plan.threshold if similarity else 1.0,
+        (plan.purpose.min_norm, plan.purpose.max_norm),
     )

@@ -47,6 +47,9 @@ _WEIGHTS = float(np.finfo(np.float32).min), float(np.finfo(np.float32).max)
 _ALWAYS = 5
 """How many refusals of one kind are told one by one; later ones are told at powers of two."""
 
+_NEARLY = 0.01
+"""How far a norm may be off, as a share of it, to be left to the agent, which knows it to the last digit."""
+
 
 @dataclass(slots=True)
 class SwarmSlam:
@@ -80,6 +83,12 @@ class SwarmSlam:
     _pairing: Pairing = field(default_factory=Pairing)
     _first: dict[tuple[str, int], int] = field(default_factory=dict)
     _last: int = 0
+    _untold: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def untold(self) -> int:
+        """Refusals that no sentence has told of so far."""
+        return self._untold.total()
 
     def take(self, message: GlobalDescriptors, stamp: float | None = None) -> None:
         """Give the robot's own descriptors of a message to its agent.
@@ -174,7 +183,7 @@ class SwarmSlam:
                     "twice", f"keyframe {keyframe} came twice, with two descriptors: the first one stays"
                 )
             return
-        problem = _problem(vector, self.role.dim, self.normalise)
+        problem = _problem(vector, self.role, self.normalise)
         if problem:
             self._refuse("descriptor", f"keyframe {keyframe}: {problem}; refused")
             return
@@ -191,7 +200,8 @@ class SwarmSlam:
             self.front.add(keyframe, {self.role.descriptor: vector}, payload=payload, stamp=stamp)
         except (ValueError, SpdzError, OSError) as error:
             del self._held[keyframe]
-            self._refuse("agent", f"keyframe {keyframe}: {error}; refused")
+            why = str(error).removeprefix(f"keyframe {keyframe}: ")
+            self._refuse("agent", f"keyframe {keyframe}: {why}; refused")
         else:
             self.counts["added"] += 1
 
@@ -235,14 +245,29 @@ class SwarmSlam:
         count = self.counts[f"refused: {reason}"]
         if count <= _ALWAYS or count & (count - 1) == 0:
             self.on_event(sentence if count <= _ALWAYS else f"{sentence} ({count} times by now)")
+            self._untold[reason] = 0
+        else:
+            self._untold[reason] += 1
 
 
-def _problem(vector: FloatArray, dim: int, normalise: bool) -> str | None:
-    """Why a descriptor cannot be one of this plan, or None; its norm is looked at by the agent."""
-    if vector.shape != (dim,):
-        return f"its descriptor has {vector.size} numbers, the plan says {dim}"
+def _problem(vector: FloatArray, role: Role, normalise: bool) -> str | None:
+    """Why a descriptor cannot be one of this plan, or None; norms that are nearly right are the agent's."""
+    if vector.shape != (role.dim,):
+        return f"its descriptor has {vector.size} numbers, the plan says {role.dim}"
     if not np.isfinite(vector).all():
         return "its descriptor has a number that is not finite"
     if normalise and not vector.any():
         return "its descriptor is zero, which cannot be normalised"
-    return None
+    return None if normalise else _wrong_norm(vector, *role.norms)
+
+
+def _wrong_norm(vector: FloatArray, least: float, most: float) -> str | None:
+    """What is said of a descriptor that was not brought to the norm that the plan is for, or None."""
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(vector))
+    if least * (1 - _NEARLY) <= norm <= most * (1 + _NEARLY):
+        return None
+    remedy = "deal for other norms"
+    if least <= 1 <= most:
+        remedy = f"--normalise divides every descriptor by its norm; or {remedy}"
+    return f"its descriptor has an L2 norm of {norm:.4g}, the plan says {least:g} to {most:g} ({remedy})"

@@ -38,6 +38,9 @@ class Transport(Protocol):
     def publish(self, message: Outgoing) -> None:
         """Send a public message; ValueError for any other, and OSError if it cannot be written."""
 
+    def silence(self) -> str | None:
+        """Why nothing can come from the graph, nor get there; None if it is there, as far as is known."""
+
     def writers(self) -> int | None:
         """How many others write descriptors; None where that cannot be told."""
 

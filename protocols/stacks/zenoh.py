@@ -11,6 +11,7 @@ rmw_zenoh.
 
 from __future__ import annotations
 
+import json
 import os
 import queue
 import secrets
@@ -88,6 +89,7 @@ class Zenoh:
                 config = zenoh.Config.from_json5(session or SESSION)
         except zenoh.ZError as error:
             raise ValueError(f"a Zenoh configuration that cannot be read: {error}") from error
+        self._endpoints = ", ".join(_endpoints(config)) or "any endpoint"
 
         def heard(kind: type) -> Any:
             return lambda sample: self._heard(kind, sample.payload.to_bytes())
@@ -171,6 +173,16 @@ class Zenoh:
         except zenoh.ZError as error:
             raise OSError(f"a message could not be written on {self.where}: {error}") from error
 
+    def silence(self) -> str | None:
+        """That neither router nor peer answers, or None."""
+        info = self._session.info
+        if info.routers_zid() or info.peers_zid():
+            return None
+        return (
+            f"no Zenoh router or peer answers at {self._endpoints}: start the robot's router, or name "
+            "another configuration with ZENOH_SESSION_CONFIG_URI"
+        )
+
     def writers(self) -> None:
         """None: Zenoh does not tell."""
         return None
@@ -182,6 +194,13 @@ class Zenoh:
     def close(self) -> None:
         """Close the session."""
         self._session.close()
+
+
+def _endpoints(config: Any) -> list[str]:
+    """Where a session looks for others: a list, or one for each mode."""
+    found = json.loads(config.get_json("connect/endpoints"))
+    lists = found.values() if isinstance(found, dict) else [found]
+    return [str(one) for each in lists for one in each]
 
 
 def attachment(number: int, stamp: int, gid: bytes) -> bytes:

@@ -160,7 +160,10 @@ def make_context(credentials: Path, protocol: int) -> ssl.SSLContext:
         context.load_verify_locations(credentials / CA_FILE)
         context.load_cert_chain(credentials / CERTIFICATE_FILE, credentials / KEY_FILE, password="")
     except OSError as error:
-        raise ValueError(f"the credentials in {credentials} cannot be used: {describe(error)}") from error
+        raise ValueError(
+            f"the credentials in {credentials} cannot be used ({describe(error)}): copy the folder again, as "
+            "a whole"
+        ) from error
     return context
 
 

@@ -153,7 +153,8 @@ class Journal:
         if (record.tape, record.party) != (tape, party):
             raise TapeMismatch(
                 f"{self.path}: the ledger is of gallery {record.tape}, party {record.party}, not of {tape}, "
-                f"party {party}. Give the one that lies beside the tape"
+                f"party {party}, beside it: one of the two files is of another dealing. Put back the tape "
+                "that was used with this ledger, or deal again"
             )
         if record.destroyed or (marked is not None and marked.destroyed):
             self._destroy(record)
