@@ -111,5 +111,5 @@ def _out_of_place(purpose: Question, threshold: float) -> str | None:
 
 def _of_norm(purpose: Question) -> str:
     if purpose.score in ("S2", "S4", "S6", "S10"):
-        return f"of descriptors of norm at most {purpose.max_norm:g}, the tapes' max_norm"
+        return f"of descriptors of norm at most {purpose.max_norm:g}, as is dealt for"
     return "by its definition"
