@@ -97,9 +97,11 @@ def test_a_tape_that_is_used_up_is_told_before_the_peer_is_looked_for(mission):
     assert status == 1 and "every job of" in err and "spdz.dealer --agents alice bob" in err
 
 
-def test_the_dealer_prints_comparisons_and_megabytes(tmp_path):
+def test_the_dealer_prints_comparisons_and_sizes(tmp_path):
     dealt = deal(tmp_path / "m")
-    assert "12 comparisons in 12 jobs" in dealt.stdout and "alice" in dealt.stdout and "MB" in dealt.stdout
+    assert (
+        "12 comparisons in 12 jobs" in dealt.stdout and "alice: " in dealt.stdout and " kB\n" in dealt.stdout
+    )
     answer = json.loads(deal(tmp_path / "n", "--json", "--tile", "3x3").stdout)
     assert (answer["comparisons"], answer["jobs"]) == (18, 2)
 

@@ -354,4 +354,4 @@ def test_a_large_mission_is_announced(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(gallery_cli, "_LARGE", 10)
     assert cli.main(words("--slots 3x3 --out", tmp_path / "m")) == 0
     captured = capsys.readouterr()
-    assert "GB in all" in captured.err and "3 x 3 descriptors" in captured.out
+    assert "writing about 72.4 kB in all" in captured.err and "3 x 3 descriptors" in captured.out

@@ -288,7 +288,7 @@ def test_replaying_a_bag_that_is_none_is_one_json_error(tmp_path):
     assert "is no bag" in json.loads(done.stdout)["message"]
 
 
-@pytest.mark.parametrize("ends", ["--until-quiet=0.5", "--for=3"])
+@pytest.mark.parametrize("ends", ["--until-quiet=0.5", "--until-quiet=200 --for=2"])
 def test_a_replay_without_its_peer_ends_and_says_what_was_refused_and_why_nothing_matched(tmp_path, ends):
     mission = deal(tmp_path, plan(dim=8))
     vectors = [3.0 * unit(number) for number in range(6)]
@@ -297,7 +297,7 @@ def test_a_replay_without_its_peer_ends_and_says_what_was_refused_and_why_nothin
         for number, vector in enumerate(vectors)
     ]
     write_bag(tmp_path / "bag", messages)
-    where = ["--mission", str(mission / "alice"), "--listen", "127.0.0.1:0", ends]
+    where = ["--mission", str(mission / "alice"), "--listen", "127.0.0.1:0", *ends.split()]
     done = subprocess.run(
         [*REPLAY, str(tmp_path / "bag"), *where], capture_output=True, text=True, timeout=100
     )
