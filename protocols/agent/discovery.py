@@ -235,7 +235,7 @@ def _libraries() -> tuple[Any, Any]:
     except ImportError as error:
         raise ValueError(
             "finding robots on the local network takes the package zeroconf, which is missing: "
-            "pip install 'spdz[agent]', or give the robots' addresses"
+            "pip install zeroconf, or give the robots' addresses"
         ) from error
     # Without a handler of the program's, Python writes what zeroconf logs to the terminal, tracebacks too.
     logging.getLogger("zeroconf").addHandler(logging.NullHandler())
