@@ -224,7 +224,7 @@ class Link:
         if met:
             self._tell("lost", f"lost {self.peer}: {error}")
         else:
-            self._teller.tell(f"{self.peer}: {error}")
+            self._teller.tell(str(error) if self.peer in str(error) else f"{self.peer}: {error}")
 
     def _hold_against(self, error: SpdzError, state: str, name: str) -> None:
         self._note(state, name, error)
