@@ -8,8 +8,9 @@ BIN    := $(VENV)/bin
 demo: $(VENV)/.demo
 	$(BIN)/python -m spdz demo
 
+# On all cores; each file's tests stay together, since they share what they have dealt.
 test: $(VENV)/.test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 # The same tests with thousands of random programs, lies of an insider, and drops at every byte (about an hour).
 test-slow: $(VENV)/.test

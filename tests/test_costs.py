@@ -86,7 +86,7 @@ def test_rounds_of_a_score_and_of_a_candidate_bit(score, security, opened, bit):
         dot_with_vector_triple,
         dot_with_scalar_triples,
     ],
-    ids=str,
+    ids=lambda program: getattr(program, "__name__", str(program)),
 )
 def test_the_meter_foresees_what_a_run_costs(program, security):
     plan = measure(program, (X.shape, Y.shape), security)
