@@ -146,7 +146,7 @@ def test_the_command_deals_on_a_cluster_of_its_own(tmp_path, capsys):
     mission = plan(tmp_path, COUPLE)
     words = [str(tmp_path / "mission.toml"), "--out", str(tmp_path / "m"), "--scheduler", "local"]
     assert cli.main([*words, "--workers", "1"]) == 0
-    assert "dealt 1 galleries" in capsys.readouterr().out
+    assert "dealt 1 gallery for 1 pair of robots" in capsys.readouterr().out
     check_dealt(tmp_path / "m", mission)
 
 
