@@ -94,6 +94,7 @@ def test_a_folder_is_watched_and_metrics_are_written(tmp_path: Path) -> None:
         (("--listen", "nowhere"), "nowhere"),
         (("--forgive", "carol"), "no peer of alice"),
         (("--grace", "-1"), "grace is a positive number of seconds"),
+        (("--until-quiet", "0"), "--until-quiet takes a positive number of seconds, not 0"),
     ],
 )
 def test_bad_arguments_are_one_sentence(tmp_path: Path, more: tuple[str, ...], sentence: str) -> None:

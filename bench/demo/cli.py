@@ -20,7 +20,7 @@ def add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     """Add the ``demo`` command."""
     arguments = commands.add_parser(
         "demo",
-        help="match real descriptors of two robots (needs the extra spdz[demo])",
+        help="two robots, real laser scans, private matches, one merged map (needs the extra spdz[demo])",
         description="Deals tapes, starts two robots as separate processes that compare real laser-scan "
         "descriptors over TLS on loopback and verify what matched, merges both maps, and shows what was "
         "found, what it cost and what leaked.",

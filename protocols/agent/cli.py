@@ -104,6 +104,9 @@ def add_agent(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 def run_agent(options: argparse.Namespace) -> int:
     """Run the command; returns the exit status."""
     try:
+        for name, seconds in (("--for", options.seconds), ("--until-quiet", options.quiet_seconds)):
+            if seconds is not None and not seconds > 0:
+                raise ValueError(f"{name} takes a positive number of seconds, not {seconds:g}")
         agent = Agent(
             options.mission,
             verify=verify_function(options.verify),
