@@ -27,7 +27,7 @@ Comparison: TypeAlias = Callable[[Engine, Operand, Operand], Awaitable[Value]]
 
 async def _missing(*operands: object) -> Value:
     """Stands for a step that was not given."""
-    raise NotImplementedError
+    raise TypeError("this score was given no such step")
 
 
 @unchanging

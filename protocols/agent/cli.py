@@ -16,7 +16,7 @@ from protocols.agent.events import MATCH_STATES, Event
 from protocols.agent.folder_watch import FolderWatch
 from protocols.agent.lines import Given, read_line, standard_input
 from protocols.agent.metrics import write_metrics
-from protocols.agent.options import peer_address, say_event, verify_function, write_line
+from protocols.agent.options import add_agent_options, peer_address, say_event, verify_function, write_line
 from protocols.agent.status_line import StatusLine
 from spdz.console.command import say_error
 from spdz.foundations.errors import SpdzError
@@ -56,24 +56,9 @@ def add_agent(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = arguments.add_argument
-    add(
-        "--mission",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="this robot's folder, such as mission/alice",
-    )
-    add("--listen", metavar="HOST:PORT", help="its one port for all peers (default: the plan's)")
-    add(
-        "--peer",
-        action="append",
-        default=[],
-        metavar="NAME=HOST:PORT",
-        help="where a peer listens, if not as planned",
-    )
+    add_agent_options(add)
     add("--watch", type=Path, metavar="FOLDER", help="take keyframes from a folder")
     add("--stdin", action="store_true", help="take keyframes as JSON lines from standard input")
-    add("--verify", metavar="MODULE:FUNCTION", help="what says whether two keyframes show the same place")
     add("--strikes", type=int, metavar="N", help="strikes until a peer is stopped (default: the plan's)")
     add("--forgive", metavar="PEER", help="forget a stopped peer's strikes and go on with it")
     add("--again", action="store_true", help="print all matches of earlier runs as well")

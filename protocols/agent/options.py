@@ -16,6 +16,26 @@ from protocols.agent.keyframe import Verify
 _WRITING = threading.Lock()
 
 
+def add_agent_options(add: Callable[..., Any]) -> None:
+    """Add what every command that runs an agent takes."""
+    add(
+        "--mission",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="this robot's folder, such as mission/alice",
+    )
+    add("--listen", metavar="HOST:PORT", help="the agent's one port for all peers (default: the plan's)")
+    add(
+        "--peer",
+        action="append",
+        default=[],
+        metavar="NAME=HOST:PORT",
+        help="where a peer listens, if not as planned",
+    )
+    add("--verify", metavar="MODULE:FUNCTION", help="what says whether two keyframes show the same place")
+
+
 def peer_address(text: str) -> tuple[str, str]:
     """Read ``NAME=HOST:PORT``.
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from protocols.agent import Agent, Event, Match
-from protocols.agent.options import peer_address, say_event, verify_function, write_line
+from protocols.agent.options import add_agent_options, peer_address, say_event, verify_function, write_line
 from protocols.mission import Folder
 from protocols.stacks.bag import Bag
 from protocols.stacks.bridge import Bridge
@@ -130,28 +130,13 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def _add_common(add: Callable[..., Any]) -> None:
-    add(
-        "--mission",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="this robot's folder, such as mission/alice",
-    )
+    add_agent_options(add)
     add("--descriptor", metavar="NAME", help="the plan's name of the descriptors (default: its only one)")
     add("--normalise", action="store_true", help="divide each descriptor by its norm: S10 is then the cosine")
     add(
         "--payload",
         choices=tuple(KEYFRAMES),
         help="what a peer is shown of a match: this message of the keyframe",
-    )
-    add("--verify", metavar="MODULE:FUNCTION", help="what says whether two keyframes show the same place")
-    add("--listen", metavar="HOST:PORT", help="the agent's one port for all peers (default: the plan's)")
-    add(
-        "--peer",
-        action="append",
-        default=[],
-        metavar="NAME=HOST:PORT",
-        help="where a peer listens, if not as planned",
     )
     add("--json", action="store_true", help="every event and match as one JSON object a line")
     add("--quiet", action="store_true", help="matches alone")

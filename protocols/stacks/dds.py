@@ -174,7 +174,8 @@ class Dds:
             return ValueError(f"a message on {reader.topic.name} is no {kind.__name__}: {error}")
         if isinstance(message, GlobalDescriptors):
             return message
-        assert self._codec is not None
+        if self._codec is None:  # no reader of keyframes was made
+            return ValueError(f"a message on {reader.topic.name} was not asked for")
         return Payload(message.id, self._codec.encode(message))
 
     def publish(self, message: Outgoing) -> None:
