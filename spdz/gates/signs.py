@@ -62,16 +62,20 @@ def evaluate(party: Evaluation, z: Value, kind: str = KIND) -> tuple[Block, Bloc
     """Step 1: S_i and Delta_i of every entry, shape (n, 2)."""
     z, bits, drop = _in_place(party, z)
     key = party.tree(kind, z.shape, signs.sign_levels(bits, drop), top=True)
-    shares, delta = party.ring.call(_shares, None, key, z.parts[0], bits, drop)
-    return shares, delta
+    ring = party.ring
+    return ring.call(_shares, None, key, z.parts[0], bits, drop), ring.call(_deltas, None, key)
 
 
-def _shares(key: TreeKey, c: FieldArray, bits: int, drop: int) -> tuple[Block, Block]:
+def _deltas(key: TreeKey) -> Block:
+    return restored(key.spread_delta, key.order)
+
+
+def _shares(key: TreeKey, c: FieldArray, bits: int, drop: int) -> Block:
     if key.top is None:
         raise ValueError("a sign has a block beside its tree")
     points = arranged(c, key.order)
     shares = signs.evaluate_sign(points, bits, drop, key.delta, key.first, key.words, key.top, key.batches)
-    return restored(shares, key.order), restored(key.spread_delta, key.order)
+    return restored(shares, key.order)
 
 
 def _in_place(engine: Engine, z: Value) -> tuple[Value, int, int]:

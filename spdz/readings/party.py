@@ -149,16 +149,7 @@ class Party(Evaluation):
     def tree(self, kind: str, shape: Shape, levels: int, *, top: bool) -> TreeKey:
         """Delta from the pad; ``first`` is party 1's pad, ``top`` party 0's, and the rest is stored."""
         self._stats.book(kind, prod(shape))
-        stream = self._stream
-        batches, order = stream.batches(shape)
-        delta = of_party(stream.delta(shape), self.index)
-        blocks = [stream.pad_rows(shape) if self.index == 1 else stream.correction_rows(shape, 1)[:, 0]]
-        if top:
-            blocks.append(
-                stream.pad_rows(shape) if self.index == 0 else stream.correction_rows(shape, 1)[:, 0]
-            )
-        words = stream.correction_rows(shape, levels - 1)
-        return TreeKey(delta, blocks[0], words, blocks[1] if top else None, batches, order)
+        return draw_tree(self._stream, self.index, shape, levels, top)
 
     def _mac(self, shape: Shape, *, stored: bool) -> FieldArray | None:
         if not self.malicious:
@@ -197,3 +188,18 @@ class Party(Evaluation):
         if self._mac_check is not None:
             self._mac_check.record_bits(ring.call(sign_macs, None, shares, bits, delta))
         return bits
+
+
+def draw_tree(stream: JobStream | RecordStream, index: int, shape: Shape, levels: int, top: bool) -> TreeKey:
+    """A party's half-tree keys: see :meth:`Party.tree`."""
+    batches, order = stream.batches(shape)
+    delta = of_party(stream.delta(shape), index)
+
+    def blocks(pad_at: int) -> Block:
+        """One block a key: a pad at one party, stored at the other."""
+        return stream.pad_rows(shape) if index == pad_at else stream.correction_rows(shape, 1)[:, 0]
+
+    first = blocks(1)
+    beside = blocks(0) if top else None
+    words = stream.correction_rows(shape, levels - 1)
+    return TreeKey(delta, first, words, beside, batches, order)

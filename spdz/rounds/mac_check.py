@@ -56,7 +56,7 @@ class MacCheck:
         """Args: this party's share of the MAC key, its number, and the session id."""
         self._alpha, self._party = alpha, party
         self._prefix = b"spdz mac-check" + hashlib.sha256(session).digest()
-        self._opened: list[tuple[FieldArray, FieldArray | Collapsed] | Block] = []
+        self._opened: list[tuple[FieldArray, FieldArray | Collapsed] | Block | bytes] = []
         self._same: bytes | None = None
         self._transcript = hashlib.sha256(b"spdz transcript")
         self._checks = 0
@@ -73,6 +73,11 @@ class MacCheck:
     def record(self, opened: FieldArray, mac: FieldArray | Collapsed) -> None:
         """Remember an opened array and this party's MAC shares of it."""
         self._opened.append((opened, mac))
+        self._same = None
+
+    def record_same(self, count: int, same: bytes) -> None:
+        """Remember the k_i of so many opened elements, which the caller has computed."""
+        self._opened.append(b"elements" + count.to_bytes(8, "little") + same)
         self._same = None
 
     def record_bits(self, sigma: Block) -> None:
@@ -126,6 +131,9 @@ class MacCheck:
         """Step 1: a digest of k_i, every opening with its kind and size."""
         digest = hashlib.sha256()
         for index, entry in enumerate(self._opened):
+            if isinstance(entry, bytes):
+                digest.update(entry)
+                continue
             if not isinstance(entry, tuple):
                 kind, count, same = b"bits", len(entry), entry.tobytes()
             elif isinstance(entry[1], np.ndarray):
