@@ -38,8 +38,8 @@ _EPILOG = f"""\
 {STATEMENT}
 
 Two processes, pinned to a core each where the system allows it, stay up for all cells. They compare over
-loopback TCP, {WARM_UP} times uncounted, then --trials times, each with other unit vectors, from plain floats to
-the opened and (malicious) MAC-checked score. A time is that of the slower party. Not timed: dealing,
+loopback TCP, {WARM_UP} times uncounted, then --trials times, each with other unit vectors, from plain floats
+to the opened and (malicious) MAC-checked score. A time is that of the slower party. Not timed: dealing,
 connecting, and reading the tape ahead. Beside every time stands its floor: the same frames, in sizes and
 order, over the same kind of socket in bare Python with nothing computed (the median of replays). One more
 trial runs under a profiler, to say where the time goes: its shares are rough, and it is in no other figure.
@@ -69,7 +69,14 @@ def parser() -> argparse.ArgumentParser:
     add("--scores", nargs="+", default=list(SCORES), choices=SCORES, metavar="S", help="scores (all ten)")
     sizes = " ".join(map(str, SIZES))
     add("--sizes", nargs="+", type=int, default=list(SIZES), metavar="N", help=f"lengths ({sizes})")
-    add("--protocols", nargs="+", default=list(PROTOCOLS), choices=PROTOCOLS, help="protocols (all four)")
+    add(
+        "--protocols",
+        nargs="+",
+        default=list(PROTOCOLS),
+        choices=PROTOCOLS,
+        metavar="P",
+        help=f"{', '.join(PROTOCOLS)} (all)",
+    )
     add("--trials", type=int, help=f"counted trials of a cell ({TRIALS}; with --quick {QUICK_TRIALS})")
     add("--quick", action="store_true", help="only the cells that the paper's table prints, a minute or two")
     add("--seed", type=int, default=1, help="seed of the descriptors (1)")
