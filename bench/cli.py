@@ -20,6 +20,7 @@ import bench.agents.cli
 import bench.attacks.cli
 import bench.gallery
 import bench.oracle
+import bench.sweep.cli
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
 from protocols import is_candidate
@@ -39,6 +40,7 @@ up, and reading the tape ahead (which expands the pads).
 many times ours that is. It was recorded on another machine: bytes compare exactly, times roughly.
 
 further commands, each with a --help of its own:
+  python -m bench sweep       the paper's whole experiment: every protocol, length and score, resumable
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench accuracy    how far secure scores are from the true ones
@@ -56,6 +58,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "attacks": bench.attacks.cli.main,
     "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
+    "sweep": bench.sweep.cli.main,
 }
 """The commands beside the one without a name."""
 
