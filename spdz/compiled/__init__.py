@@ -9,7 +9,7 @@ numbers, by a ring (:mod:`spdz.compiled.ring`) that writes down what it is asked
 - what depends on the tape alone is done apart, before the inputs are known;
 - nothing that is public is computed again: shapes, bounds, constants, lengths of frames.
 
-The frames are the same, byte by byte, as those of the party's own reading (:mod:`spdz.readings.party`): either
+The frames are those of the party's own reading (:mod:`spdz.readings.party`), byte by byte: either
 side may run either. What cannot be compiled (a program that looks at numbers on its way, several vectors at
 once) is read as before.
 """
