@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import TypeVar
 
+from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import (
     HEADER_BYTES,
     MAX_CONTROL,
@@ -22,7 +23,6 @@ from spdz.channels.frames import (
     AbortReason,
     DType,
     FrameKind,
-    FrameReader,
     Payload,
     byte_views,
     pack_abort,

@@ -7,7 +7,8 @@ import time
 from queue import Empty, SimpleQueue
 
 from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
-from spdz.channels.frames import MAX_FRAME, FrameReader
+from spdz.channels.frame_reader import FrameReader
+from spdz.channels.frames import MAX_FRAME
 from spdz.foundations.errors import ChannelClosed
 
 Pipe = SimpleQueue[bytes | None]
