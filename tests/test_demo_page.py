@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.demo.page import POLICY
+from bench.offline_page import POLICY
 from protocols.geometry.files import read_g2o, read_tum
 from protocols.geometry.pose_graph import optimise
 
