@@ -61,7 +61,14 @@ def about(quick=True):
 def versus(base="ff69b37"):
     """Two cells that MP-SPDZ was recorded beside, and one that it was not."""
     rows = [
-        {"score": "S10", "n": 16, "security": "malicious", "base_ms": [1.0], "ours_ms": [0.5], "speedup": 2.0},
+        {
+            "score": "S10",
+            "n": 16,
+            "security": "malicious",
+            "base_ms": [1.0],
+            "ours_ms": [0.5],
+            "speedup": 2.0,
+        },
         {"score": "S4", "n": 1536, "security": "malicious", "base_ms": [3.0], "ours_ms": [1], "speedup": 3.0},
         {"score": "S10", "n": 256, "security": "malicious", "base_ms": [9.0], "ours_ms": [1], "speedup": 9.0},
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from bench.report.sections import Section
-from bench.report.table import Table
+from bench.report.table import NOTHING, Table
 
 PICTURE = "report.png"
 
@@ -37,7 +37,9 @@ def _table(table: Table) -> Iterator[str]:
     yield _row(_head(table))
     yield _row(["---"] * table.words + ["--:"] * (len(table.head) - table.words))
     for at, cells in enumerate(table.rows):
-        yield _row([f"**{cell}**" if cell and at in table.strong else cell for cell in cells])
+        yield _row(
+            [f"**{cell}**" if at in table.strong and cell not in ("", NOTHING) else cell for cell in cells]
+        )
     yield ""
     for note in table.notes:
         yield from (note, "")

@@ -42,7 +42,7 @@ def _plot(plot: Plot) -> str:
 
 def _table(table: Table) -> str:
     """The table in a box of its own that scrolls; notes below it."""
-    kinds = ["w" if at < table.words else "" for at in range(len(table.head))]
+    kinds = [_kind(name) if at < table.words else "" for at, name in enumerate(table.head)]
     groups = ""
     if table.groups:
         cells = "".join(f'<th colspan="{span}">{escape(name)}</th>' for name, span in table.groups)
@@ -65,6 +65,11 @@ def _table(table: Table) -> str:
     if table.folded:
         return f"<details><summary>{label}</summary>{box}{notes}</details>"
     return f"<h3>{label}</h3>{box}{notes}"
+
+
+def _kind(name: str) -> str:
+    """Classes of a column of words; what a row is of stays in sight while its numbers scroll."""
+    return {"ID": "w id", "figures": "w whose"}.get(name, "w")
 
 
 def _class(name: str) -> str:

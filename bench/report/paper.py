@@ -43,7 +43,7 @@ def _paper(results: Results) -> Table:
     how = recorded_table().printed_how
     about = recorded("S10", 16, "malicious")[0]
     return Table(
-        "The paper's table",
+        f"Ours, the paper's, and {ENGINE}'s",
         (*_FIRST, *_FIGURES, *_FIGURES, "mean", "std", "KB", "#"),
         rows,
         len(_FIRST),
@@ -62,8 +62,9 @@ def _paper(results: Results) -> Table:
             "what one party was recorded to send. Ours in # are frames of both parties. The deviation is a "
             "sample's.",
             f"paper: {how}",
-            f"{ENGINE}: {about.how} The mean is that median; in brackets stand rounds, not messages. The "
-            "programs are not the paper's: roots and normalising take fewer bytes in them.",
+            f"{ENGINE}: its quickest protocol of the model. {about.how} The mean is that median; in brackets "
+            "stand rounds, not messages. The programs are not the paper's: roots and normalising take fewer "
+            "bytes in them.",
         ),
     )
 

@@ -185,7 +185,7 @@ def _of(results: Results, model: str) -> list[Cell]:
 def _figure(width: float, height: float) -> tuple[Figure, Any]:
     figure = Figure(figsize=(width, height + 0.6), layout="constrained")
     axes: Any = figure.subplots()
-    axes.tick_params(colors=_INK, labelsize=9, which="both")
+    axes.tick_params(colors=_INK, labelsize=10, which="both")
     axes.xaxis.label.set_color(_INK)
     axes.yaxis.label.set_color(_INK)
     axes.spines[["top", "right"]].set_visible(False)
@@ -236,7 +236,7 @@ def _legend(figure: Figure, axes: Any, columns: int = 5) -> None:
         loc="outside lower center",
         ncols=columns,
         frameon=False,
-        fontsize=9,
+        fontsize=10,
         labelcolor=_INK,
     )
 

@@ -6,14 +6,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from bench.recorded_table import recorded_table
 from bench.report import floor, gallery, paper, phases, plots, ratios
-from bench.report.cells import MODELS, PROTOCOLS, SIZES, Key
+from bench.report.cells import MODELS
 from bench.report.folder import Results
+from bench.report.gaps import gap_words, product_words, run_words
 from bench.report.plots import Plot
 from bench.report.standing import STANDING
 from bench.report.table import Table, mean_ratio, times
-from protocols.scores import SCORES
 
 _PREFERRED = 1536
 """The length of plots that show one: the paper's own descriptors."""
@@ -38,11 +37,11 @@ class Section:
 
 def sections(results: Results) -> Iterator[Section]:
     """All sections of a results folder."""
-    yield Section("In short", [_run(results), *_gaps(results)], tables=list(_summary(results)))
+    yield Section("In short", [run_words(results), *gap_words(results)], tables=list(_summary(results)))
     yield Section("Which model stands for which protocol", STANDING)
     yield Section(
         "The paper's table",
-        ["Each row of the paper's table of results, ours first."],
+        ["The rows that the paper prints; all that was run is folded below them."],
         tables=list(paper.tables(results)),
     )
     yield Section(
@@ -51,7 +50,7 @@ def sections(results: Results) -> Iterator[Section]:
         [*plots.over_lengths(results, "time"), *plots.over_lengths(results, "bytes")],
     )
     yield Section(
-        f"Ratios to {paper.ENGINE}", list(_machine_words(results)), tables=list(ratios.tables(results))
+        f"Ratios to {paper.ENGINE}", list(product_words(results)), tables=list(ratios.tables(results))
     )
     yield from _floor(results)
     yield from _phases(results)
@@ -75,53 +74,6 @@ def mean_factors(results: Results, model: str) -> dict[str, float | None]:
     }
 
 
-def _run(results: Results) -> str:
-    about, machine = results.about, results.about["machine"]
-    commit = about.get("commit") or "an unknown commit"
-    told = [f"{machine.get('cpu')}, {machine.get('cores')} cores, {machine.get('system')}"]
-    told += [f"{name} {machine[name]}" for name in ("python", "numpy", "spdz") if machine.get(name)]
-    told.append(machine.get("compiler") or "no C++ compiler")
-    dirty = " with changes that were not committed" if about.get("dirty") else ""
-    errors = [
-        cell.error for cell in results.cells.values() if cell.protocol in MODELS and cell.error is not None
-    ]
-    far = f" No score was further from the clear one than {max(errors):.1e}." if errors else ""
-    return (
-        f"Measured by `{about['command']}` at {commit}{dirty}, begun {about.get('started')}, ended "
-        f"{about.get('finished') or 'not yet'}, on {'; '.join(told)}. {about['trials']} trials a cell.{far}"
-    )
-
-
-def _gaps(results: Results) -> Iterator[str]:
-    """What is missing, by protocol; nothing of a whole sweep."""
-    quick = "A quick run. " if results.about["quick"] else ""
-    missing = results.missing()
-    if missing:
-        whole = len(PROTOCOLS) * len(SIZES) * len(SCORES)
-        parts = "; ".join(_missing_words(missing))
-        yield f"{quick}{len(missing)} of {whole} cells were not run: {parts}. Nothing stands in their place."
-    short = results.short()
-    if short:
-        cells = ", ".join(f"{protocol} {score} N = {n}" for protocol, score, n in short)
-        yield f"Cells with fewer than {results.about['trials']} trials: {cells}."
-
-
-def _missing_words(missing: Sequence[Key]) -> Iterator[str]:
-    """By protocol, whole lengths before single scores."""
-    for protocol in PROTOCOLS:
-        of_length = Counter(n for name, _, n in missing if name == protocol)
-        whole = [n for n, count in of_length.items() if count == len(SCORES)]
-        if len(whole) == len(SIZES):
-            yield f"{protocol}: all"
-            continue
-        words = [f"all scores at N = {', '.join(map(str, whole))}"] if whole else []
-        for n in sorted(set(of_length) - set(whole)):
-            scores = " ".join(score for name, score, size in missing if (name, size) == (protocol, n))
-            words.append(f"{scores} at N = {n}")
-        if words:
-            yield f"{protocol}: {', '.join(words)}"
-
-
 def _summary(results: Results) -> Iterator[Table]:
     rows = []
     for model in MODELS:
@@ -141,28 +93,6 @@ def _summary(results: Results) -> Iterator[Table]:
                 "frames over a bare socket, and by that of the exchange in the clear.",
             ),
         )
-
-
-def _machine_words(results: Results) -> Iterator[str]:
-    base = recorded_table().base
-    yield (
-        "Bytes and rounds compare exactly. Times were recorded on other machines and compare roughly; the "
-        "product of two ratios, each measured within one run on one machine, compares better."
-    )
-    if results.versus_base is None:
-        yield f"The product was not measured: run `python -m bench versus {base}` with this folder as --out."
-    elif results.versus_base != base:
-        yield (
-            f"versus.json compares with {results.versus_base}; {paper.ENGINE} was recorded beside {base}, so "
-            "that there is no product."
-        )
-    else:
-        pairs = {(row.score, row.n, row.security) for row in results.versus}
-        absent = [key for key in recorded_table().side_by_side if key not in pairs]
-        if absent:
-            words = ", ".join(f"{score} N = {n} {model}" for score, n, model in absent)
-            yield f"Without a product, since versus.json lacks them: {words}."
-        yield ratios.smallest(results)
 
 
 def _floor(results: Results) -> Iterator[Section]:
