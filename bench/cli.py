@@ -20,6 +20,7 @@ import bench.agents.cli
 import bench.attacks.cli
 import bench.gallery
 import bench.oracle
+import bench.versus
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
 from protocols import is_candidate
@@ -44,6 +45,7 @@ further commands, each with a --help of its own:
   python -m bench accuracy    how far secure scores are from the true ones
   python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
+  python -m bench versus      this tree against another commit, in one run
 
 examples:
   python -m bench --score S10 --dim 8192 --security malicious --trials 10 --json
@@ -56,6 +58,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "attacks": bench.attacks.cli.main,
     "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
+    "versus": bench.versus.main,
 }
 """The commands beside the one without a name."""
 
