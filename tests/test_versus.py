@@ -1,4 +1,4 @@
-"""``python -m bench versus``: this tree against another commit, with invented times and a small repository."""
+"""``python -m bench versus``: this tree against another commit, with invented times and a small history."""
 
 import json
 import subprocess
