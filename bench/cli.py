@@ -21,6 +21,7 @@ import bench.attacks.cli
 import bench.gallery
 import bench.oracle
 import bench.report.cli
+import bench.versus
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
 from protocols import is_candidate
@@ -46,6 +47,7 @@ further commands, each with a --help of its own:
   python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
   python -m bench report      tables and plots of a results folder, beside the paper's and MP-SPDZ's figures
+  python -m bench versus      this tree against another commit, in one run
 
 examples:
   python -m bench --score S10 --dim 8192 --security malicious --trials 10 --json
@@ -59,6 +61,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
     "report": bench.report.cli.main,
+    "versus": bench.versus.main,
 }
 """The commands beside the one without a name."""
 
