@@ -1,7 +1,7 @@
 """What was printed and recorded of the paper's table, from ``recorded_table.json``.
 
-Three parts, each with its source: the table as the paper prints it; MP-SPDZ beside an earlier commit of this
-project, cell by cell in one run; the same commit's jobs, many against many.
+Two parts, each with its source: the table as the paper prints it; and an earlier commit's jobs, many against
+many. MP-SPDZ's own figures are in ``recorded.json``, its ratios to that commit in ``recorded_ratios.json``.
 """
 
 from __future__ import annotations
@@ -58,28 +58,6 @@ class PrintedRow:
 
 
 @dataclass(frozen=True, slots=True)
-class SideBySide:
-    """MP-SPDZ and an earlier commit of this project, measured in turn.
-
-    Attributes:
-        ratio: MP-SPDZ's time over that commit's, the median of ``len(ours_ms)`` repetitions.
-        mp_spdz_ms: Its medians.
-        ours_ms: That commit's.
-        mp_spdz_bytes: What a party sent.
-        mp_spdz_rounds: Calls to send, receive or broadcast.
-    """
-
-    score: str
-    n: int
-    security: str
-    ratio: float
-    mp_spdz_ms: tuple[float, ...]
-    ours_ms: tuple[float, ...]
-    mp_spdz_bytes: int
-    mp_spdz_rounds: int
-
-
-@dataclass(frozen=True, slots=True)
 class Jobs:
     """The earlier commit's jobs, many descriptors against many."""
 
@@ -100,17 +78,13 @@ class RecordedTable:
         printed: The paper's rows, in its order.
         printed_how: Source and circumstances.
         base: The earlier commit.
-        side_by_side: By score, length and security model.
-        side_by_side_how: Source and circumstances.
-        jobs: By security model.
+        jobs: Its jobs, by security model.
         jobs_how: Source and circumstances.
     """
 
     printed: tuple[PrintedRow, ...]
     printed_how: str
     base: str
-    side_by_side: dict[tuple[str, int, str], SideBySide]
-    side_by_side_how: str
     jobs: dict[str, Jobs]
     jobs_how: str
 
@@ -121,13 +95,11 @@ def recorded_table() -> RecordedTable:
     data = json.loads(files("bench").joinpath("recorded_table.json").read_text(encoding="utf-8"))
     if data["format"] != FORMAT:
         raise ValueError(f"bench/recorded_table.json has format {data['format']}, expected {FORMAT}")
-    printed, side, jobs = data["printed"], data["side_by_side"], data["jobs"]
+    printed, jobs = data["printed"], data["jobs"]
     return RecordedTable(
         tuple(map(_printed_row, printed["rows"])),
         f"{printed['source']}. {printed['how']}",
-        side["base"],
-        {(row["score"], row["n"], row["security"]): _side_row(row) for row in side["rows"]},
-        f"{side['source']}. {side['how']}",
+        jobs["base"],
         {row["security"]: Jobs(**row) for row in jobs["rows"]},
         jobs["how"],
     )
@@ -145,17 +117,4 @@ def _printed_row(row: dict[str, Any]) -> PrintedRow:
         figures("mascot", "mb"),
         figures("hemi", "mb"),
         figures("baseline", "kb"),
-    )
-
-
-def _side_row(row: dict[str, Any]) -> SideBySide:
-    return SideBySide(
-        row["score"],
-        row["n"],
-        row["security"],
-        row["ratio"],
-        tuple(row["mp_spdz_ms"]),
-        tuple(row["ours_ms"]),
-        row["mp_spdz_bytes"],
-        row["mp_spdz_rounds"],
     )

@@ -32,7 +32,7 @@ def trial(protocol, score, n, number, *, profiled=False):
     row |= {"tape_bytes": [16 * n + 16, 16 * n] if secure else [0, 0], "error": 1e-5 if secure else None}
     row |= {"floor_ms": 0.05 if secure else None, "phases": None}
     if profiled:
-        row |= {"profiled": True, "phases": {name: time / 8 for name in PHASES}}
+        row |= {"profiled": True, "phases": {name: time * (at + 1) / 42 for at, name in enumerate(PHASES)}}
     return row
 
 
@@ -70,9 +70,9 @@ def versus(base="ff69b37"):
             "speedup": 2.0,
         },
         {"score": "S4", "n": 1536, "security": "malicious", "base_ms": [3.0], "ours_ms": [1], "speedup": 3.0},
-        {"score": "S10", "n": 256, "security": "malicious", "base_ms": [9.0], "ours_ms": [1], "speedup": 9.0},
+        {"score": "S9", "n": 256, "security": "malicious", "base_ms": [9.0], "ours_ms": [1], "speedup": 9.0},
     ]
-    return {"format": 1, "base": base, "rows": rows}
+    return {"format": 1, "base": base, "commit": "abc1234", "dirty": False, "rows": rows}
 
 
 def gallery():

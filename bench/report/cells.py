@@ -11,7 +11,8 @@ PROTOCOLS = ("malicious", "semi-honest", "numpy", "cpp")
 MODELS = PROTOCOLS[:2]
 SIZES = (16, 256, 512, 768, 1024, 1536, 2048, 4096, 8192)
 """The paper's lengths."""
-PHASES = ("mask", "network", "field", "aes", "mac_check")
+PHASES = ("mask", "network", "field", "aes", "mac_check", "rest")
+"""Where the time of a comparison goes; ``rest`` is what none of the others covers."""
 Key = tuple[str, str, int]
 """Protocol, score, length."""
 

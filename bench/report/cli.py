@@ -70,16 +70,19 @@ def _run(options: argparse.Namespace) -> int:
         results = read_results(options.folder)
         from bench.report.markdown import PICTURE, markdown
         from bench.report.page import page
-        from bench.report.plots import picture
+        from bench.report.picture import picture
         from bench.report.sections import mean_factors, sections
 
         out = options.out or options.folder
         out.mkdir(parents=True, exist_ok=True)
-        parts = list(sections(results))
-        files = {"page": out / "report.html", "markdown": out / "report.md", "picture": out / PICTURE}
+        parts, drawn = list(sections(results)), picture(results)
+        files = {"page": out / "report.html", "markdown": out / "report.md"}
         files["page"].write_text(page(TITLE, parts), encoding="utf-8")
-        files["markdown"].write_text(markdown(TITLE, parts), encoding="utf-8")
-        files["picture"].write_bytes(picture(results))
+        text = markdown(TITLE, parts, pictured=drawn is not None)
+        files["markdown"].write_text(text, encoding="utf-8")
+        if drawn is not None:
+            files["picture"] = out / PICTURE
+            files["picture"].write_bytes(drawn)
     except BadResults as error:
         say_error(name, "BadResults", str(error), as_json=options.json)
         return 2

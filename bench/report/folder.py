@@ -44,6 +44,7 @@ class Results:
         about: ``sweep.json``.
         cells: Those that were run.
         versus_base: The commit that ``versus.json`` compares with; None without that file.
+        versus_commit: The commit that it compares, if it says so.
         versus: Its rows.
         galleries: Objects of ``gallery.jsonl``, as they are.
     """
@@ -51,6 +52,7 @@ class Results:
     about: Mapping[str, Any]
     cells: Mapping[Key, Cell]
     versus_base: str | None
+    versus_commit: str | None
     versus: Sequence[VersusRow]
     galleries: Sequence[Mapping[str, Any]]
 
@@ -89,16 +91,18 @@ def read_results(folder: Path) -> Results:
         if not isinstance(about.get(key), kind):
             raise BadResults(f"{folder / 'sweep.json'}: {key!r} is missing or of the wrong kind: {_AGAIN}")
     base: str | None = None
+    commit: str | None = None
     versus: tuple[VersusRow, ...] = ()
     if (folder / "versus.json").is_file():
-        base, versus = _read_versus(folder / "versus.json")
+        base, commit, versus = _read_versus(folder / "versus.json")
     galleries = folder / "gallery.jsonl"
     return Results(
         about,
         _read_cells(folder / "trials.jsonl"),
         base,
+        commit,
         versus,
-        [_gallery(row) for row in _lines(galleries, dict)] if galleries.is_file() else [],
+        list(_lines(galleries, _gallery)) if galleries.is_file() else [],
     )
 
 
@@ -200,7 +204,7 @@ def _count(row: Mapping[str, Any], name: str) -> Any:
     return None if row.get(name) is None else _whole(row[name], name)
 
 
-def _read_versus(path: Path) -> tuple[str, tuple[VersusRow, ...]]:
+def _read_versus(path: Path) -> tuple[str, str | None, tuple[VersusRow, ...]]:
     data = _read_object(path)
     try:
         rows = tuple(
@@ -214,7 +218,7 @@ def _read_versus(path: Path) -> tuple[str, tuple[VersusRow, ...]]:
             )
             for row in data["rows"]
         )
-        return str(data["base"]), rows
+        return str(data["base"]), data.get("commit"), rows
     except (KeyError, TypeError, ValueError) as error:
         what = f"has no {error}" if isinstance(error, KeyError) else str(error)
         raise BadResults(f"{path}: {what}. Measure it again with `python -m bench versus`") from error

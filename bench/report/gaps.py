@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 
-from bench.recorded_table import recorded_table
+from bench.recorded_ratios import recorded_ratios
 from bench.report import ratios
 from bench.report.cells import MODELS, PROTOCOLS, SIZES, Key
 from bench.report.folder import Results
@@ -47,7 +47,7 @@ def gap_words(results: Results) -> Iterator[str]:
 
 def product_words(results: Results) -> Iterator[str]:
     """How ratios of time are to be taken, and which products there are."""
-    base = recorded_table().base
+    base = recorded_ratios().base[:7]
     yield (
         "Bytes and rounds compare exactly. Times were recorded on other machines and compare roughly; the "
         "product of two ratios, each measured within one run on one machine, compares better."
@@ -55,14 +55,16 @@ def product_words(results: Results) -> Iterator[str]:
     if results.versus_base is None:
         yield f"The product was not measured: run `python -m bench versus {base}` with this folder as --out."
         return
-    if results.versus_base != base:
+    if not ratios.same_base(results):
         yield (
             f"versus.json compares with {results.versus_base}; {ENGINE} was recorded beside {base}, so that "
             "there is no product."
         )
         return
+    if results.versus_commit != results.about.get("commit"):
+        yield f"versus.json is of {results.versus_commit or 'an unknown commit'}, the sweep is not."
     found = {(row.security, row.score, row.n) for row in results.versus}
-    wanted = [(security, score, n) for score, n, security in recorded_table().side_by_side]
+    wanted = [(security, score, n) for score, n, security in recorded_ratios().ratios]
     absent = [key for key in wanted if key not in found]
     if absent:
         yield f"Without a product, since versus.json lacks them: {cell_words(absent)}."

@@ -10,16 +10,17 @@ from bench.report.table import NOTHING, Table
 PICTURE = "report.png"
 
 
-def markdown(title: str, parts: Sequence[Section]) -> str:
-    """The whole report."""
-    return "\n".join(_lines(title, parts)).rstrip() + "\n"
+def markdown(title: str, parts: Sequence[Section], *, pictured: bool) -> str:
+    """The whole report; ``pictured``, if there is a picture beside it."""
+    return "\n".join(_lines(title, parts, pictured)).rstrip() + "\n"
 
 
-def _lines(title: str, parts: Sequence[Section]) -> Iterator[str]:
+def _lines(title: str, parts: Sequence[Section], pictured: bool) -> Iterator[str]:
     yield f"# {title}"
     yield ""
-    yield f"![Time of a comparison against N, ours beside MP-SPDZ's recorded]({PICTURE})"
-    yield ""
+    if pictured:
+        yield f"![Time of a comparison against N, ours beside MP-SPDZ's recorded]({PICTURE})"
+        yield ""
     for part in parts:
         if not part.words and not part.tables:
             continue

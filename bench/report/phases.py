@@ -1,4 +1,4 @@
-"""Where the time goes: mask, network, field, AES, MAC check, and what none of them covers."""
+"""Where the time goes: mask, network, field, AES, MAC check, and what none of them is."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from bench.report.folder import Results
 from bench.report.table import Table, milliseconds
 from protocols.scores import SCORES
 
-NAMES = {"mask": "mask", "network": "network", "field": "field", "aes": "AES", "mac_check": "MAC check"}
-REST = "rest"
+NAMES = {**dict(zip(PHASES, PHASES, strict=True)), "aes": "AES", "mac_check": "MAC check"}
 
 
 def parts(cell: Cell | None) -> dict[str, float] | None:
-    """Milliseconds by phase of the profiled trial, the rest last; None where none was profiled."""
+    """Milliseconds by phase of the profiled trial; None where none was profiled, or nothing was found."""
     if cell is None or cell.profiled is None or cell.profiled.phases is None:
         return None
     found = {NAMES[name]: cell.profiled.phases[name] for name in PHASES}
-    return {**found, REST: max(cell.profiled.ms - sum(found.values()), 0.0)}
+    return found if sum(found.values()) else None
 
 
 def tables(results: Results) -> Iterator[Table]:
@@ -27,20 +26,20 @@ def tables(results: Results) -> Iterator[Table]:
         rows = []
         for n in results.sizes():
             for score in SCORES:
-                cell = results.cell(model, score, n)
-                found = parts(cell)
-                if cell is not None and cell.profiled is not None and found is not None:
-                    figures = [milliseconds(one) for one in found.values()]
-                    rows.append((str(n), score, milliseconds(cell.profiled.ms), *figures))
+                found = parts(results.cell(model, score, n))
+                if found is not None:
+                    times = (sum(found.values()), *found.values())
+                    rows.append((str(n), score, *map(milliseconds, times)))
         if rows:
             yield Table(
                 f"Where the time goes, {model} [ms]",
-                ("N", "ID", "whole", *NAMES.values(), REST),
+                ("N", "ID", "whole", *NAMES.values()),
                 rows,
                 2,
                 notes=(
-                    "One trial more a cell, under a profiler that slows it down: shares are worth more than "
-                    "milliseconds. network: sending, and waiting for the other party.",
+                    "One trial more a cell, under a profiler, its shares taken of the median time. It slows "
+                    "short functions down more than long ones: shares are rough. network: sending, and "
+                    "waiting for the other party. rest: reading the program, agreeing, bookkeeping.",
                 ),
                 folded=True,
             )

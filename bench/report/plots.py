@@ -1,4 +1,4 @@
-"""The plots, each one SVG that takes the colours of the page around it, and the picture for the README.
+"""The plots, each one SVG that takes the colours of the page around it.
 
 Matplotlib writes fixed colours; ink and grid are drawn in two colours that occur nowhere else and are then
 replaced by the page's variables, so that one plot serves light and dark. Names inside an SVG get a prefix,
@@ -10,11 +10,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from io import BytesIO, StringIO
+from io import StringIO
 from typing import Any
 
 from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, FixedLocator, FuncFormatter, NullLocator
 
@@ -40,8 +39,6 @@ _KINDS = (
     ("malicious", "malicious", "o", "#d55e00"),
 )
 _PARTS = ("#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#cc79a7", "#9aa5ae")
-PICTURE_SCORES = ("S2", "S4", "S10")
-"""Of the README's picture: recorded at several lengths, and unlike each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +57,7 @@ def over_lengths(results: Results, what: str) -> Iterator[Plot]:
         what: ``time`` or ``bytes``.
     """
     for model in MODELS:
-        cells = _of(results, model)
+        cells = cells_of(results, model)
         if cells:
             figure, axes = _figure(5.0, 4.4)
             _lines(axes, cells, lambda cell: (cell.n, _value(cell, what)))
@@ -69,7 +66,7 @@ def over_lengths(results: Results, what: str) -> Iterator[Plot]:
                 if one is not None:
                     value = one.ms if what == "time" else one.bytes_sent
                     axes.plot(cell.n, value, MARKERS[cell.score], mfc="none", mec=COLOURS[cell.score], ms=6)
-            _lengths(axes)
+            lengths(axes)
             _value_axis(axes, what)
             axes.set_title(model, fontsize=10, color=_INK)
             _legend(figure, axes)
@@ -84,7 +81,7 @@ def _value(cell: Cell, what: str) -> float:
 def tape_against_sent(results: Results) -> Iterator[Plot]:
     """What is stored against what is sent: one plot a security model, a point a length."""
     for model in MODELS:
-        cells = [cell for cell in _of(results, model) if cell.tape_bytes]
+        cells = [cell for cell in cells_of(results, model) if cell.tape_bytes]
         if cells:
             figure, axes = _figure(5.0, 4.4)
             _lines(axes, cells, lambda cell: (cell.bytes_party, cell.tape_bytes))
@@ -141,43 +138,11 @@ def where_time_goes(results: Results, n: int) -> Iterator[Plot]:
         yield Plot(_svg(figure, f"phases-{model}"), f"Where the time goes at N = {n}, {model}")
 
 
-def picture(results: Results) -> bytes:
-    """A PNG on white: time against N, ours beside MP-SPDZ's recorded, one panel a security model."""
-    figure = Figure(figsize=(9.6, 4.2), facecolor="white", layout="constrained", dpi=150)
-    models = [model for model in MODELS if _of(results, model)]
-    axes: Any
-    for axes, model in zip(
-        figure.subplots(1, len(models), sharey=True, squeeze=False)[0], models, strict=True
-    ):
-        for score in PICTURE_SCORES:
-            ours = sorted((cell.n, cell.median_ms) for cell in _of(results, model) if cell.score == score)
-            lengths = {n for n, _ in ours}
-            found = ((n, recorded_mp_spdz(score, n, model)) for n in sorted(lengths))
-            theirs = [(n, one.ms) for n, one in found if one is not None]
-            colour, marker = COLOURS[score], MARKERS[score]
-            label = f"{score} {SCORES[score].title}"
-            if ours:
-                axes.plot(*zip(*ours, strict=True), f"{marker}-", color=colour, ms=6, label=label)
-            if theirs:
-                axes.plot(*zip(*theirs, strict=True), f"{marker}:", color=colour, mfc="white", ms=6, label=f"{score}, {ENGINE}")  # fmt: skip  # noqa: E501
-        _lengths(axes)
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.set_title(model)
-        axes.grid(color="#e3e7ea")
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=8)
-    figure.supylabel("ms a comparison", fontsize=10)
-    FigureCanvasAgg(figure)
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png")
-    return drawn.getvalue()
-
-
 # --- what the plots share ---------------------------------------------------------------------------------
 
 
-def _of(results: Results, model: str) -> list[Cell]:
+def cells_of(results: Results, model: str) -> list[Cell]:
+    """The cells of a model, by score and length."""
     found = [cell for cell in results.cells.values() if cell.protocol == model]
     return sorted(found, key=lambda cell: (int(cell.score[1:]), cell.n))
 
@@ -202,7 +167,8 @@ def _lines(axes: Any, cells: Sequence[Cell], point: Callable[[Cell], tuple[float
             axes.plot(across, up, MARKERS[score], ls="-", lw=1.3, ms=4.5, color=COLOURS[score], label=score)
 
 
-def _lengths(axes: Any) -> None:
+def lengths(axes: Any) -> None:
+    """The axis of N, of powers of two."""
     axes.set_xscale("log", base=2)
     axes.xaxis.set_major_locator(FixedLocator(_TICKS))
     axes.xaxis.set_minor_locator(NullLocator())

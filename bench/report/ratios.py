@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from bench.recorded_ratios import recorded_ratios
 from bench.recorded_table import recorded_table
 from bench.report.cells import MODELS, Cell
 from bench.report.folder import Results, VersusRow
@@ -78,15 +79,20 @@ def _cells(results: Results, model: str) -> list[Cell]:
 
 def products(results: Results, model: str) -> list[Product]:
     """The cells that both runs have; none where the earlier commit is another than the recorded one."""
-    table = recorded_table()
-    if results.versus_base != table.base:
+    if not same_base(results):
         return []
     found = []
     for row in sorted(results.versus, key=lambda row: (row.n, int(row.score[1:]))):
-        before = table.side_by_side.get((row.score, row.n, row.security))
+        before = recorded_ratios().ratios.get((row.score, row.n, row.security))
         if before is not None and row.security == model:
-            found.append(Product(row, before.ratio, before.ratio * row.speedup))
+            found.append(Product(row, before, before * row.speedup))
     return found
+
+
+def same_base(results: Results) -> bool:
+    """Whether ``versus.json`` compares with the commit that was measured beside MP-SPDZ."""
+    named = results.versus_base
+    return named is not None and len(named) >= 7 and recorded_ratios().base.startswith(named)
 
 
 def tables(results: Results) -> Iterator[Table]:
@@ -147,7 +153,7 @@ def _factors(one: Beside) -> tuple[float | None, ...]:
 def _products(results: Results) -> Table:
     rows: list[tuple[str, ...]] = []
     strong = set()
-    base = recorded_table().base
+    base = recorded_ratios().base[:7]
     for model in MODELS:
         found = products(results, model)
         for one in found:
@@ -169,7 +175,7 @@ def _products(results: Results) -> Table:
         3,
         strong=frozenset(strong),
         notes=(
-            f"{ENGINE} by {base}: {recorded_table().side_by_side_how}",
+            f"{ENGINE} by {base}: {recorded_ratios().how}",
             f"{base} by ours: `python -m bench versus {base}`, this tree against that commit, in turn, cell "
             f"by cell. {smallest(results)} mean: geometric means.",
         ),
