@@ -21,6 +21,7 @@ import bench.attacks.cli
 import bench.gallery
 import bench.oracle
 import bench.report.cli
+import bench.sweep.cli
 import bench.versus
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
@@ -41,12 +42,13 @@ up, and reading the tape ahead (which expands the pads).
 many times ours that is. It was recorded on another machine: bytes compare exactly, times roughly.
 
 further commands, each with a --help of its own:
+  python -m bench sweep       the paper's whole experiment: every protocol, length and score, resumable
+  python -m bench report      tables and plots of a results folder, beside the paper's and MP-SPDZ's figures
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench accuracy    how far secure scores are from the true ones
   python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
-  python -m bench report      tables and plots of a results folder, beside the paper's and MP-SPDZ's figures
   python -m bench versus      this tree against another commit, in one run
 
 examples:
@@ -61,6 +63,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "gallery": bench.gallery.main,
     "oracle": bench.oracle.main,
     "report": bench.report.cli.main,
+    "sweep": bench.sweep.cli.main,
     "versus": bench.versus.main,
 }
 """The commands beside the one without a name."""

@@ -3,8 +3,10 @@
 import json
 from pathlib import Path
 
-from bench.report.cells import MODELS, PHASES, PROTOCOLS, SIZES
+from bench.report.cells import MODELS
 from bench.report.folder import BadResults, read_results
+from bench.sweep.cells import PROTOCOLS, SIZES
+from bench.sweep.phases import PHASES
 from protocols.scores import SCORES
 
 QUICK = {n: tuple(SCORES) if n == 16 else ("S10",) for n in (16, 1536)}

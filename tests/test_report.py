@@ -6,7 +6,7 @@ import statistics
 import sys
 
 import pytest
-from report_helpers import QUICK, WHOLE, lines, ms, versus, write
+from report_helpers import QUICK, WHOLE, lines, ms, versus, write, write_lines
 
 import bench.cli
 from bench.recorded import recorded
@@ -234,5 +234,5 @@ def test_without_matplotlib_it_says_what_to_install(tmp_path, capsys, monkeypatc
 def test_a_sweep_of_one_protocol_and_one_cell_has_a_report(tmp_path, protocol):
     write(tmp_path)
     rows = [row for row in lines({512: ("S3",)}) if row["protocol"] == protocol]
-    (tmp_path / "trials.jsonl").write_text("\n".join(map(json.dumps, rows)), encoding="utf-8")
+    write_lines(tmp_path / "trials.jsonl", rows)
     assert cli.main([str(tmp_path)]) == 0

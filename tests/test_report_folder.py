@@ -3,11 +3,11 @@
 import json
 
 import pytest
-from report_helpers import QUICK, lines, ms, refusal, sent, trial, versus, write, write_lines
+from report_helpers import QUICK, ms, refusal, sent, trial, versus, write, write_lines
 
-from bench.report.cells import PROTOCOLS, SIZES
 from bench.report.folder import read_results
-from bench.report.gaps import cell_words
+from bench.report.gaps import cell_words, gap_words
+from bench.sweep.cells import PROTOCOLS, SIZES
 from protocols.scores import SCORES
 
 
@@ -62,7 +62,7 @@ def test_cells_in_words_are_grouped():
         ({"ms": "fast"}, "ms is 'fast'"),
         ({"ms": None}, "ms is None"),
         ({"ms": True}, "ms is True"),
-        ({"bytes_sent": []}, "bytes_sent is empty"),
+        ({"bytes_sent": []}, "is empty"),
         ({"bytes_sent": [1.5, 2]}, "bytes_sent is 1.5"),
         ({"rounds": -3}, "rounds is -3"),
         ({"trial": None}, "trial is None"),
@@ -89,12 +89,12 @@ def test_a_line_without_a_field_is_named(tmp_path, key):
     assert "line 1" in refusal(tmp_path)
 
 
-def test_a_line_that_was_cut_off_is_named_with_what_to_do(tmp_path):
+def test_half_a_line_at_the_end_does_not_count_and_its_cell_is_told(tmp_path):
     path = write(tmp_path) / "trials.jsonl"
-    count = len(lines(QUICK))
     path.write_text(path.read_text(encoding="utf-8")[:-30], encoding="utf-8")
-    said = refusal(tmp_path)
-    assert f"line {count}" in said and "run the same sweep again" in said
+    results = read_results(tmp_path)
+    assert results.short() == [("cpp", "S10", 1536)]
+    assert "With fewer than 3 trials: cpp: S10 at N = 1536" in " ".join(gap_words(results))
 
 
 def test_a_trial_that_stands_there_twice_is_refused(tmp_path):

@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-PROTOCOLS = ("malicious", "semi-honest", "numpy", "cpp")
-"""Our two security models, the plaintext exchange by NumPy, and the score alone in C++."""
-MODELS = PROTOCOLS[:2]
-SIZES = (16, 256, 512, 768, 1024, 1536, 2048, 4096, 8192)
-"""The paper's lengths."""
-PHASES = ("mask", "network", "field", "aes", "mac_check", "rest")
-"""Where the time of a comparison goes; ``rest`` is what none of the others covers."""
+from bench.sweep.results import Trial
+from spdz.foundations.types import SECURITIES
+
+MODELS = SECURITIES
+"""The protocols that keep descriptors secret."""
 Key = tuple[str, str, int]
 """Protocol, score, length."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """One line of ``trials.jsonl``; of both parties where two numbers stand."""
-
-    ms: float
-    bytes_sent: tuple[int, ...]
-    rounds: int | None
-    messages: int | None
-    tape_bytes: tuple[int, ...]
-    error: float | None
-    floor_ms: float | None
-    phases: Mapping[str, float] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +56,12 @@ class Cell:
         return max(max(trial.tape_bytes, default=0) for trial in self.trials)
 
     @property
-    def rounds(self) -> int | None:
+    def rounds(self) -> int:
         """Exchanges."""
         return self.trials[0].rounds
 
     @property
-    def messages(self) -> int | None:
+    def messages(self) -> int:
         """Frames of both parties."""
         return self.trials[0].messages
 

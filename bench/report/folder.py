@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bench.report.cells import MODELS, PHASES, PROTOCOLS, SIZES, Cell, Key, Trial
+from bench.report.cells import MODELS, Cell, Key
+from bench.sweep.cells import PROTOCOLS, SIZES
+from bench.sweep.phases import PHASES
+from bench.sweep.results import ABOUT, FORMAT, TRIALS, Trial
 from protocols.scores import SCORES
-
-FORMAT = 1
 
 
 class BadResults(ValueError):
@@ -81,12 +82,12 @@ def read_results(folder: Path) -> Results:
         BadResults: If it is missing, damaged, or of another format.
         OSError: If a file cannot be read.
     """
-    if not (folder / "sweep.json").is_file():
+    if not (folder / ABOUT).is_file():
         raise BadResults(
             f"there are no results in {folder} (no sweep.json): measure some with "
             f"`python -m bench sweep --quick --out {folder}`"
         )
-    about = _read_object(folder / "sweep.json")
+    about = _read_object(folder / ABOUT)
     for key, kind in (("command", str), ("machine", dict), ("quick", bool), ("trials", int)):
         if not isinstance(about.get(key), kind):
             raise BadResults(f"{folder / 'sweep.json'}: {key!r} is missing or of the wrong kind: {_AGAIN}")
@@ -98,7 +99,7 @@ def read_results(folder: Path) -> Results:
     galleries = folder / "gallery.jsonl"
     return Results(
         about,
-        _read_cells(folder / "trials.jsonl"),
+        _read_cells(folder / TRIALS),
         base,
         commit,
         versus,
@@ -122,9 +123,9 @@ def _read_object(path: Path) -> dict[str, Any]:
 
 
 def _lines(path: Path, read: Callable[[Any], Any]) -> Iterator[Any]:
-    """The lines of a file of JSON lines, each as it is read; an error names the line."""
+    """The whole lines of a file of JSON lines, each as it is read; an error names the line."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        *lines, _ = path.read_text(encoding="utf-8").split("\n")  # a killed sweep may leave half a line
     except FileNotFoundError as error:
         raise BadResults(f"{path} is missing: run the sweep to its end, or measure again") from error
     except UnicodeDecodeError as error:
@@ -134,45 +135,48 @@ def _lines(path: Path, read: Callable[[Any], Any]) -> Iterator[Any]:
             yield read(json.loads(line))
         except (ValueError, TypeError, KeyError) as error:
             what = f"has no {error}" if isinstance(error, KeyError) else str(error)
-            hint = "delete the line and run the same sweep again, which goes on where it stopped"
-            raise BadResults(f"{path}, line {number}: {what}. If the run was cut off, {hint}") from error
+            raise BadResults(f"{path}, line {number}: {what}. Delete the line, or measure again") from error
 
 
 def _read_cells(path: Path) -> dict[Key, Cell]:
     counted: dict[Key, dict[int, Trial]] = {}
     profiled: dict[Key, Trial] = {}
-    for key, number, trial in _lines(path, _trial):
-        if number < 0:
+    for trial in _lines(path, _trial):
+        key = (trial.protocol, trial.score, trial.n)
+        if trial.profiled:
             profiled[key] = trial
-        elif number in counted.setdefault(key, {}):
-            raise BadResults(
-                f"{path}: trial {number} of {' '.join(map(str, key))} stands there twice: {_AGAIN}"
-            )
+        elif trial.trial in counted.setdefault(key, {}):
+            name = " ".join(map(str, key))
+            raise BadResults(f"{path}: trial {trial.trial} of {name} stands there twice: {_AGAIN}")
         else:
-            counted[key][number] = trial
+            counted[key][trial.trial] = trial
     if not counted:
         raise BadResults(f"{path} has no trials: run the sweep first")
     return {key: Cell(*key, list(trials.values()), profiled.get(key)) for key, trials in counted.items()}
 
 
-def _trial(row: dict[str, Any]) -> tuple[Key, int, Trial]:
-    protocol, score, n = row["protocol"], row["score"], _count(row, "n")
-    if protocol not in PROTOCOLS or score not in SCORES or not n:
-        raise ValueError(f"there is no cell {protocol} {score} {n}")
-    phases = row.get("phases")
-    trial = Trial(
-        _positive(row, "ms"),
-        tuple(_whole(one, "bytes_sent") for one in row["bytes_sent"]),
-        _count(row, "rounds"),
-        _count(row, "messages"),
-        tuple(_whole(one, "tape_bytes") for one in row.get("tape_bytes") or ()),
-        None if row.get("error") is None else _number(row["error"], "error"),
-        None if row.get("floor_ms") is None else _positive(row, "floor_ms"),
-        None if phases is None else {name: _number(phases[name], name) for name in PHASES},
-    )
-    if not trial.bytes_sent:
-        raise ValueError("bytes_sent is empty")
-    return (protocol, score, n), -1 if row.get("profiled") else _whole(row["trial"], "trial"), trial
+def _trial(row: dict[str, Any]) -> Trial:
+    trial = Trial.of(row)
+    if trial.protocol not in PROTOCOLS or trial.score not in SCORES or not _whole(trial.n, "n"):
+        raise ValueError(f"there is no cell {trial.protocol} {trial.score} {trial.n}")
+    if not trial.profiled:
+        _whole(trial.trial, "trial")
+    _positive(row, "ms")
+    if not trial.bytes_sent or not trial.tape_bytes:
+        raise ValueError("bytes_sent or tape_bytes is empty")
+    for name in ("bytes_sent", "tape_bytes"):
+        for one in row[name]:
+            _whole(one, name)
+    for name in ("rounds", "messages"):
+        _whole(row[name], name)
+    if trial.error is not None:
+        _number(trial.error, "error")
+    if trial.floor_ms is not None:
+        _positive(row, "floor_ms")
+    if trial.phases is not None:
+        for name in PHASES:
+            _number(trial.phases[name], name)
+    return trial
 
 
 def _number(value: Any, name: str) -> float:
@@ -197,11 +201,6 @@ def _whole(value: Any, name: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise ValueError(f"{name} is {value!r}, expected a whole number of at least 0")
     return value
-
-
-def _count(row: Mapping[str, Any], name: str) -> Any:
-    """A whole number, or None where a baseline has none."""
-    return None if row.get(name) is None else _whole(row[name], name)
 
 
 def _read_versus(path: Path) -> tuple[str, str | None, tuple[VersusRow, ...]]:

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator
 
 from bench.recorded_ratios import recorded_ratios
 from bench.report import ratios
-from bench.report.cells import MODELS, PROTOCOLS, SIZES, Key
+from bench.report.cells import MODELS, Key
 from bench.report.folder import Results
 from bench.report.paper import ENGINE
+from bench.sweep.cells import PROTOCOLS, SIZES
 from protocols.scores import SCORES
 
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from bench.recorded import Recorded, recorded
 from bench.recorded_table import Printed, PrintedRow, recorded_table
-from bench.report.cells import MODELS, SIZES, Cell
+from bench.report.cells import MODELS, Cell
 from bench.report.folder import Results
 from bench.report.table import NOTHING, Table, amount, milliseconds, whole
+from bench.sweep.cells import SIZES
 from protocols.scores import SCORES
 
 _FIGURES = ("mean", "std", "MB", "#")

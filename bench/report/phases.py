@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bench.report.cells import MODELS, PHASES, Cell
+from bench.report.cells import MODELS, Cell
 from bench.report.folder import Results
 from bench.report.table import Table, milliseconds
+from bench.sweep.phases import PHASES
 from protocols.scores import SCORES
 
 NAMES = {**dict(zip(PHASES, PHASES, strict=True)), "aes": "AES", "mac_check": "MAC check"}

@@ -11,7 +11,7 @@ from bench.report.cells import MODELS
 from bench.report.folder import Results
 from bench.report.gaps import gap_words, product_words, run_words
 from bench.report.plots import Plot
-from bench.report.standing import STANDING
+from bench.report.standing import paragraphs
 from bench.report.table import Table, mean_ratio, times
 
 _PREFERRED = 1536
@@ -38,7 +38,7 @@ class Section:
 def sections(results: Results) -> Iterator[Section]:
     """All sections of a results folder."""
     yield Section("In short", [run_words(results), *gap_words(results)], tables=list(_summary(results)))
-    yield Section("Which model stands for which protocol", STANDING)
+    yield Section("Which model stands for which protocol", list(paragraphs()))
     yield Section(
         "The paper's table",
         ["The rows that the paper prints; all that was run is folded below them."],

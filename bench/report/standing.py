@@ -1,10 +1,17 @@
-"""Which of our models stands for which of the paper's protocols, in words."""
+"""Which of our models stands for which of the paper's protocols: the sweep's statement, in paragraphs."""
 
-STANDING = (
-    "The paper measures seven protocols; three stand here. malicious stands for MASCOT and CowGear: their "
-    "online phase is SPDZ's with the same MAC check, and only the making of triples differs (CowGear's is "
-    "covert). semi-honest stands for Semi, Hemi, Temi and Soho: Beaver triples without MACs online, and "
-    "other ways to make them. The insecure baseline is C++.",
-    "So 900 malicious trials stand for 1,800 of the paper's 6,300, 900 semi-honest ones for 3,600, and the "
-    "baseline's 900 for themselves.",
-)
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from bench.sweep.stands import STATEMENT
+
+
+def paragraphs(text: str = STATEMENT) -> Iterator[str]:
+    """The paragraphs of a text for a terminal; of an indented list, each entry is one."""
+    for block in text.split("\n\n"):
+        entries = re.split(r"^  (?=\S)", block, flags=re.MULTILINE) if block.startswith("  ") else [block]
+        for entry in filter(None, entries):
+            words = " ".join(entry.split())
+            yield words if entry is block else re.sub(r"^\S+", r"`\g<0>`", words)
