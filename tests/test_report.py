@@ -53,6 +53,13 @@ def test_ours_stand_beside_the_papers_figures_and_what_was_recorded(whole):
         amount((8 * 1536 + 83) / 1e6),
         "6",
     )
+    bare = [1e3 * ms("cpp", "S10", 1536, number) for number in range(3)]
+    assert ours[12:] == (
+        milliseconds(statistics.fmean(bare)),
+        milliseconds(statistics.stdev(bare)),
+        "12.288",
+        "2",
+    )
     assert printed[3:] == ("paper", "2.70", "0.11", "0.075", "29", "1.16", "0.17", "0.050", "14",
                            "9.13", "1.83", "12.288", "2")  # fmt: skip
     found = recorded("S10", 1536, "malicious")[0]

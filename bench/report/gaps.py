@@ -54,7 +54,8 @@ def product_words(results: Results) -> Iterator[str]:
         "product of two ratios, each measured within one run on one machine, compares better."
     )
     if results.versus_base is None:
-        yield f"The product was not measured: run `python -m bench versus {base}` with this folder as --out."
+        command = f"python -m bench versus {base}"
+        yield f"The product was not measured: run `{command}` with this folder as `--out`."
         return
     if not ratios.same_base(results):
         yield (

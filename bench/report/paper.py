@@ -63,9 +63,9 @@ def _paper(results: Results) -> Table:
             "what one party was recorded to send. Ours in # are frames of both parties. The deviation is a "
             "sample's.",
             f"paper: {how}",
-            f"{ENGINE}: its quickest protocol of the model. {about.how} The mean is that median; in brackets "
-            "stand rounds, not messages. The programs are not the paper's: roots and normalising take fewer "
-            "bytes in them.",
+            f"{ENGINE}: its quickest protocol of the model, on {about.how} The mean is that median; in "
+            "brackets stand rounds, not messages. The programs are not the paper's: roots and normalising "
+            "take fewer bytes in them.",
         ),
     )
 

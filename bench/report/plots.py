@@ -103,6 +103,8 @@ def security_against_time(results: Results, n: int) -> Iterator[Plot]:
             cell = results.cell(kind, score, n)
             if cell is not None:
                 axes.plot(cell.median_ms, row, marker, color=colour, ms=7, label=words)
+    for row, score in enumerate(shown):
+        for kind, words, marker, colour in _KINDS:
             one = recorded_mp_spdz(score, n, kind)
             if one is not None:
                 axes.plot(one.ms, row, marker, mfc="none", mec=colour, ms=7, label=f"{ENGINE}, {words}")
@@ -189,7 +191,7 @@ def _value_axis(axes: Any, what: str) -> None:
 
 def _score_rows(axes: Any, scores: Sequence[str]) -> None:
     axes.set_yticks(range(len(scores)), scores)
-    axes.invert_yaxis()
+    axes.set_ylim(len(scores) - 0.5, -0.5)
     axes.set_axisbelow(True)
 
 
