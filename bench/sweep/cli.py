@@ -25,7 +25,6 @@ from bench.sweep.standing import StandingPair
 from bench.sweep.stands import STATEMENT
 from protocols.scores import SCORES
 from spdz.console.command import FAILED, CommandParser, run_command, say_error
-from spdz.console.progress import progress_bar
 
 _NAME = "python -m bench sweep"
 DEFAULT_FOLDER = Path("bench-results")
@@ -38,8 +37,8 @@ _EPILOG = f"""\
 {STATEMENT}
 
 Two processes, pinned to a core each where the system allows it, stay up for all cells. They compare over
-loopback TCP, {WARM_UP} times uncounted, then --trials times, each with other unit vectors, from plain floats to
-the opened and (malicious) MAC-checked score. A time is that of the slower party. Not timed: dealing,
+loopback TCP, {WARM_UP} times uncounted, then --trials times, each with other unit vectors, from plain floats
+to the opened and (malicious) MAC-checked score. A time is that of the slower party. Not timed: dealing,
 connecting, and reading the tape ahead. Beside every time stands its floor: the same frames, in sizes and
 order, over the same kind of socket in bare Python with nothing computed (the median of replays). One more
 trial runs under a profiler, to say where the time goes: its shares are rough, and it is in no other figure.
@@ -69,7 +68,14 @@ def parser() -> argparse.ArgumentParser:
     add("--scores", nargs="+", default=list(SCORES), choices=SCORES, metavar="S", help="scores (all ten)")
     sizes = " ".join(map(str, SIZES))
     add("--sizes", nargs="+", type=int, default=list(SIZES), metavar="N", help=f"lengths ({sizes})")
-    add("--protocols", nargs="+", default=list(PROTOCOLS), choices=PROTOCOLS, help="protocols (all four)")
+    add(
+        "--protocols",
+        nargs="+",
+        default=list(PROTOCOLS),
+        choices=PROTOCOLS,
+        metavar="P",
+        help=f"{', '.join(PROTOCOLS)} (all)",
+    )
     add("--trials", type=int, help=f"counted trials of a cell ({TRIALS}; with --quick {QUICK_TRIALS})")
     add("--quick", action="store_true", help="only the cells that the paper's table prints, a minute or two")
     add("--seed", type=int, default=1, help="seed of the descriptors (1)")
@@ -139,12 +145,12 @@ def _measure(
         )
     with StandingPair() as pair, ExitStack() as stack:
         folder = stack.enter_context(_scratch(results.folder))
-        bench = Bench(pair, baseline, folder, options.trials, options.seed)
+        bench = Bench(pair, baseline, folder, options.trials, options.seed, quiet=options.json)
         for number, cell in enumerate(missing, len(wanted) - len(missing) + 1):
-            with progress_bar(f"{number} of {len(wanted)}, {cell}, dealing", quiet=options.json) as report:
-                trials = bench.measure(cell, report)
+            place = f"{number}/{len(wanted)}"
+            trials = bench.measure(cell, place)
             results.add(trials)
-            _print(trials, f"{number}/{len(wanted)}", as_json=options.json)
+            _print(trials, place, as_json=options.json)
 
 
 def _print(trials: Sequence[Trial], place: str, *, as_json: bool) -> None:

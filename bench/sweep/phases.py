@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import cProfile
 import pstats
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -42,6 +42,8 @@ arithmetic on shares. rest: reading the program, agreeing, bookkeeping.
 """
 
 _ROOT = Path(spdz.__file__).resolve().parent.parent
+_DEPTH = 20  # calls from this project's code down to a foreign function, at most
+_LEAST = 1e-9  # seconds: the profiler's clock may say that a call took none
 _PACKAGES = ("spdz/", "protocols/", "dealer/", "bench/")
 
 Function: TypeAlias = tuple[str, int, str]
@@ -49,20 +51,20 @@ Function: TypeAlias = tuple[str, int, str]
 
 
 def phases(profile: cProfile.Profile) -> dict[str, float]:
-    """Seconds of each of :data:`PHASES` in a profile that has ended."""
+    """Seconds of each of :data:`PHASES` in a profile that has ended; they sum to all own times in it."""
     stats: Any = pstats.Stats(profile)
     functions: dict[Function, Any] = stats.stats
-    total: Counter[str] = Counter()
+    shares = _shares(functions)
+    total: defaultdict[str, float] = defaultdict(float)
     for function, (_, _, own, _, callers) in functions.items():
-        phase = phase_of(function)
-        if phase is not None:
-            total[phase] += own
-            continue
-        for caller, (_, _, here, _) in callers.items():
-            for name, share in _shares(caller, functions, frozenset([function])).items():
-                total[name] += here * share
-        if not callers:
-            total["rest"] += own
+        if (
+            phase_of(function) is None
+        ):  # how its time spreads over its callers is known better than its shares
+            here = _mixed({caller: row[2] for caller, row in callers.items()}, shares)
+        else:
+            here = shares[function]
+        for name, share in (here or {"rest": 1.0}).items():
+            total[name] += own * share
     return {phase: total[phase] for phase in PHASES}
 
 
@@ -86,20 +88,33 @@ def phase_of(function: Function) -> str | None:
     return next((phase for prefix, phase in RULES if place.startswith(prefix)), "rest")
 
 
-def _shares(
-    function: Function, functions: Mapping[Function, Any], seen: frozenset[Function]
+def _shares(functions: Mapping[Function, Any]) -> dict[Function, dict[str, float]]:
+    """For which phases each function works: its own, or what its callers work for, by their time.
+
+    Foreign functions call each other, in circles too: this goes from callers to called until all are reached.
+    """
+    known: dict[Function, dict[str, float]] = {}
+    foreign = []
+    for function in functions:
+        phase = phase_of(function)
+        if phase is None:
+            foreign.append(function)
+        else:
+            known[function] = {phase: 1.0}
+    for _ in range(_DEPTH):
+        for function in foreign:
+            callers = functions[function][4]
+            known[function] = _mixed({caller: row[3] for caller, row in callers.items()}, known)
+    return known
+
+
+def _mixed(
+    weights: Mapping[Function, float], shares: Mapping[Function, Mapping[str, float]]
 ) -> dict[str, float]:
-    """Which phases a caller works for: its own, or those of its callers by their time."""
-    phase = phase_of(function)
-    if phase is not None:
-        return {phase: 1.0}
-    callers = functions[function][4] if function in functions else {}
-    weights = {caller: max(row[3], 0.0) for caller, row in callers.items() if caller not in seen}
-    whole = sum(weights.values())
-    if not whole:
-        return {"rest": 1.0}
-    result: Counter[str] = Counter()
-    for caller, weight in weights.items():
-        for name, share in _shares(caller, functions, seen | {function}).items():
-            result[name] += share * weight / whole
-    return dict(result)
+    """The weighted mean of those functions' shares that are known; empty if none is."""
+    result: defaultdict[str, float] = defaultdict(float)
+    for function, weight in weights.items():
+        for name, share in shares.get(function, {}).items():
+            result[name] += share * max(weight, _LEAST)
+    whole = sum(result.values())
+    return {name: value / whole for name, value in result.items()}
