@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.links.emulation import VIAS, carried, enter_namespace, inside, possible
+from bench.links.emulation import VIAS, carried, congestion_control, enter_namespace, inside, possible
 from bench.links.link import LINKS, Link
 from bench.links.measuring import Cell, Figures, LinkError, measure_link
 from bench.recorded import recorded
@@ -40,7 +40,7 @@ how a link is emulated (--via; auto takes the first that this machine allows):
   netem       the kernel's emulator, in a network namespace that the command makes for itself (unshare, tc)
   tun         the same namespace, and packets held by this program between two addresses: where the kernel has
               no netem. In both, TCP runs over the link: slow start, lost packets sent again, delayed
-              acknowledgements
+              acknowledgements. Its congestion control is CUBIC, or Reno where a namespace has only that
   proxy       where no namespace may be made: a forwarder of TCP on loopback holds what was written. TCP does
               not see the link: no slow start, and NO LOSS: a lossy link is then measured as if it lost
               nothing, and its row says loss 0
@@ -63,6 +63,7 @@ class LinkRow:
     Attributes:
         loss: The share of packets lost in each direction, 0 where the emulation cannot lose any.
         via: How the link was emulated.
+        congestion: How TCP probed for the rate.
         round_trip_ms: The link's measured round trip.
         ms: Median of a comparison, until the slower party has the result.
         max_ms: The longest of the trials.
@@ -76,6 +77,7 @@ class LinkRow:
     delay_ms: float
     loss: float
     via: str
+    congestion: str | None
     round_trip_ms: float
     score: str
     n: int
@@ -243,6 +245,7 @@ class _Telling:
             delay_ms=link.delay_ms,
             loss=link.loss,
             via=self._via,
+            congestion=congestion_control(),
             round_trip_ms=trip,
             score=cell.score,
             n=cell.n,
@@ -262,7 +265,7 @@ class _Telling:
         print(
             f"{link.name}: {link.mbit:g} Mbit/s, {link.delay_ms:g} ms one way, {link.loss:.0%} loss", end=""
         )
-        print(f", by {self._via}; measured round trip {trip:.1f} ms")
+        print(f", by {self._via}, TCP {congestion_control()}; measured round trip {trip:.1f} ms")
         if self._asked.loss and not link.loss:
             print(f"  its loss of {self._asked.loss:.0%} is NOT emulated: TCP would have to see it")
         print(f"{'score':6}{'N':>6}  {'security':12}{'ms':>10}{'most':>10}{'floor':>10}{'plain':>10}", end="")

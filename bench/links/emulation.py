@@ -11,8 +11,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NoReturn
 
 from bench.links.link import Link
@@ -26,6 +27,7 @@ VIAS = ("netem", "tun", "proxy")
 
 _NAMESPACE = ("unshare", "--user", "--map-root-user", "--net", "--")
 _INSIDE = "SPDZ_BENCH_LINKS_VIA"
+_CONGESTION = Path("/proc/sys/net/ipv4/tcp_congestion_control")
 _PROBES = {
     "netem": "ip link set lo up && tc qdisc add dev lo root netem delay 1ms rate 1mbit",
     "tun": "ip tuntap add dev spdz0 mode tun",
@@ -86,8 +88,26 @@ def emulated(link: Link, via: str) -> Iterator[Ends]:
         with proxy_link(carried(link, via), port) as outer:
             yield Ends(("127.0.0.1", port), ("127.0.0.1", outer))
     elif via == "tun":
+        choose_congestion_control()
         with tun_link(link):
             yield Ends((HERE, PORT), (THERE, PORT))
     else:
+        choose_congestion_control()
         with netem_link(link):
             yield Ends(("127.0.0.1", PORT), ("127.0.0.1", PORT))
+
+
+def choose_congestion_control() -> None:
+    """Have TCP of this namespace probe for the rate by CUBIC, as most machines do, or by Reno if it may not."""
+    for name in ("cubic", "reno"):
+        with suppress(OSError):
+            _CONGESTION.write_text(name, encoding="ascii")
+            return
+
+
+def congestion_control() -> str | None:
+    """How TCP of this namespace probes for rate; None where the system does not tell."""
+    try:
+        return _CONGESTION.read_text(encoding="ascii").strip()
+    except OSError:
+        return None

@@ -41,7 +41,7 @@ WARM_UP = 1
 
 _MAX_NORM = 1.0
 _WAIT = 60.0
-_PROBES = 5
+_PROBES = 3
 _PROBE_SECONDS = 0.25
 _TOLERATED = 0.95
 
@@ -232,15 +232,15 @@ def _party(index: int, task: _Task, pipe: Any) -> None:
 def _probe(index: int, task: _Task) -> tuple[list[float], float, float]:
     size = task.probe_bytes
     pings = _bare(index, task, [(1, 0), (0, 1)], _PROBES)
-    (there,) = _bare(index, task, [(size, 0), (0, 1)], 1)
-    (back,) = _bare(index, task, [(1, 0), (0, size)], 1)
+    (there,) = _bare(index, task, [(size, 0), (0, 1)], 1, warm_up=0)
+    (back,) = _bare(index, task, [(1, 0), (0, size)], 1, warm_up=0)
     return pings, there, back
 
 
-def _bare(index: int, task: _Task, frames: Frames, trials: int) -> list[float]:
+def _bare(index: int, task: _Task, frames: Frames, trials: int, warm_up: int = WARM_UP) -> list[float]:
     host, port = task.ends.listens if index == 0 else task.ends.calls
     with bare_socket(index, port, host) as sock:
-        bare_trials(sock, index, frames, WARM_UP, 0)
+        bare_trials(sock, index, frames, warm_up, 0)
         return [_started(task, lambda: bare_trials(sock, index, frames, 1, 0)) for _ in range(trials)]
 
 

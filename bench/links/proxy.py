@@ -1,8 +1,9 @@
 """A link by a forwarder of TCP on loopback, where no network namespace may be made: rate and delay, no loss.
 
 It delays what the parties wrote, in pieces of a packet's size. TCP itself runs on loopback: it sees neither
-the delay nor a loss, so there is no slow start after a pause and nothing is ever sent twice. Figures are lower
-than over a true link for messages longer than TCP's first window (about 14 KB), most of all on a long link.
+the delay nor a loss, so there is no slow start after a pause and nothing is ever sent twice. Figures are
+lower than over a true link for messages longer than TCP's first window (about 14 KB), most of all on a long
+link.
 """
 
 from __future__ import annotations
