@@ -21,6 +21,7 @@ import bench.attacks.cli
 import bench.gallery
 import bench.links.cli
 import bench.oracle
+import bench.sweep.cli
 import bench.versus
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
@@ -41,6 +42,7 @@ up, and reading the tape ahead (which expands the pads).
 many times ours that is. It was recorded on another machine: bytes compare exactly, times roughly.
 
 further commands, each with a --help of its own:
+  python -m bench sweep       the paper's whole experiment: every protocol, length and score, resumable
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench links       the same over thin, slow, far and lossy links
@@ -62,6 +64,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "links": bench.links.cli.main,
     "oracle": bench.oracle.main,
     "versus": bench.versus.main,
+    "sweep": bench.sweep.cli.main,
 }
 """The commands beside the one without a name."""
 

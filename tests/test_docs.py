@@ -25,6 +25,8 @@ import bench.gallery
 import bench.gallery_pairs
 import bench.oracle
 import bench.recorded_accuracy
+import bench.sweep.cli
+import bench.sweep.results
 import dealer.cli
 import protocols.check
 import spdz
@@ -276,7 +278,7 @@ def known_options() -> set[str]:
     (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
     parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.attacks.cli.parser()]
-    parsers += [bench.oracle.parser()]
+    parsers += [bench.oracle.parser(), bench.sweep.cli.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
@@ -310,8 +312,9 @@ def test_the_reference_names_every_field_of_the_benchmark_and_every_counter():
         bench.attacks.probes.ProbeRow,
         bench.attacks.insider.RefusalRow,
     )
+    sweep = (bench.sweep.results.Trial, bench.sweep.results.About)
     described = (protocols.check.Standing, protocols.check.Form, protocols.check.Norms)
-    for kind in (*rows, *attacks, *described, bench.recorded_accuracy.RecordedRow, spdz.Stats):
+    for kind in (*rows, *attacks, *sweep, *described, bench.recorded_accuracy.RecordedRow, spdz.Stats):
         assert {field.name for field in dataclasses.fields(kind)} <= spans
 
 

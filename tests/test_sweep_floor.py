@@ -1,5 +1,6 @@
 """The floor of the benchmark: which frames a comparison sends, and the same frames without the rest."""
 
+import functools
 import threading
 
 import pytest
@@ -13,6 +14,7 @@ from bench.sweep.floor import (
     both_directions,
     recorded_frames,
 )
+from bench.sweep.standing import StandingPair
 from spdz.channels import FrameKind
 from spdz.channels.frames import HEADER_BYTES
 from spdz.channels.memory import memory_pair
@@ -101,3 +103,33 @@ def test_a_replay_whose_other_side_hangs_up_ends():
 def test_more_rounds_take_longer():
     short, long = ([(64, 64)] * rounds for rounds in (1, 200))
     assert min(bare_rounds(long, 5)) > min(bare_rounds(short, 5))
+
+
+# The pair of processes
+
+
+def name_and_party(index, line):
+    return index, line.getpeername()[0]
+
+
+def fall(index, line):
+    raise ValueError("as the test wants")
+
+
+def test_a_pair_serves_many_works_between_the_same_two_processes():
+    with StandingPair() as pair:
+        assert pair.run(name_and_party, name_and_party) == ((0, "127.0.0.1"), (1, "127.0.0.1"))
+        frames = [(32, 64)] * 4
+        works = [functools.partial(replay, frames=frames) for _ in range(2)]
+        first, second = pair.run(*works)
+        assert len(first) == len(second) == 3 and min(first + second) > 0
+
+
+def replay(index, line, frames):
+    return bare_trials(line, index, frames, 3)
+
+
+def test_a_process_that_dies_is_told_and_nothing_hangs(capfd):
+    with pytest.raises(RuntimeError, match="died"), StandingPair() as pair:
+        pair.run(name_and_party, fall)
+    assert "as the test wants" in capfd.readouterr().err

@@ -98,7 +98,7 @@ def emulated(link: Link, via: str) -> Iterator[Ends]:
 
 
 def choose_congestion_control() -> None:
-    """Have TCP of this namespace probe for the rate by CUBIC, as most machines do, or by Reno if it may not."""
+    """Have TCP of this namespace probe for the rate by CUBIC, as on most machines, or by Reno if need be."""
     for name in ("cubic", "reno"):
         with suppress(OSError):
             _CONGESTION.write_text(name, encoding="ascii")
