@@ -19,6 +19,7 @@ import bench.accuracy
 import bench.agents.cli
 import bench.attacks.cli
 import bench.gallery
+import bench.links.cli
 import bench.oracle
 import bench.report.cli
 import bench.sweep.cli
@@ -46,6 +47,7 @@ further commands, each with a --help of its own:
   python -m bench report      tables and plots of a results folder, beside the paper's and MP-SPDZ's figures
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
+  python -m bench links       the same over thin, slow, far and lossy links
   python -m bench accuracy    how far secure scores are from the true ones
   python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
@@ -61,6 +63,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "agents": bench.agents.cli.main,
     "attacks": bench.attacks.cli.main,
     "gallery": bench.gallery.main,
+    "links": bench.links.cli.main,
     "oracle": bench.oracle.main,
     "report": bench.report.cli.main,
     "sweep": bench.sweep.cli.main,
