@@ -143,6 +143,13 @@ def test_a_product_with_another_commit_is_not_made(tmp_path):
     assert "compares with 1234567" in all_words(results)
 
 
+@pytest.mark.parametrize(("commit", "told"), [("abc1234" + "0" * 33, False), ("9999999", True), (None, True)])
+def test_a_product_of_another_tree_than_the_sweeps_is_told(tmp_path, commit, told):
+    write(tmp_path, more=True)
+    (tmp_path / "versus.json").write_text(json.dumps(versus() | {"commit": commit}), encoding="utf-8")
+    assert (", the sweep of abc1234." in all_words(read_results(tmp_path))) is told
+
+
 def test_without_versus_the_command_is_named(quick):
     assert "python -m bench versus ff69b37" in all_words(quick)
 

@@ -63,8 +63,10 @@ def product_words(results: Results) -> Iterator[str]:
             "there is no product."
         )
         return
-    if results.versus_commit != results.about.get("commit"):
-        yield f"versus.json is of {results.versus_commit or 'an unknown commit'}, the sweep is not."
+    both = (results.versus_commit, results.about.get("commit"))
+    ours, swept = (commit or "unknown" for commit in both)
+    if not (ours.startswith(swept) or swept.startswith(ours)):  # one of them may be short
+        yield f"versus.json is of {ours[:7]}, the sweep of {swept[:7]}."
     found = {(row.security, row.score, row.n) for row in results.versus}
     wanted = [(security, score, n) for score, n, security in recorded_ratios().ratios]
     absent = [key for key in wanted if key not in found]
