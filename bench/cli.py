@@ -19,8 +19,11 @@ import bench.accuracy
 import bench.agents.cli
 import bench.attacks.cli
 import bench.gallery
+import bench.links.cli
 import bench.oracle
+import bench.report.cli
 import bench.sweep.cli
+import bench.versus
 from bench.pair import Measured, measure_clear, measure_secure
 from bench.recorded import recorded
 from protocols import is_candidate
@@ -41,11 +44,14 @@ many times ours that is. It was recorded on another machine: bytes compare exact
 
 further commands, each with a --help of its own:
   python -m bench sweep       the paper's whole experiment: every protocol, length and score, resumable
+  python -m bench report      tables and plots of a results folder, beside the paper's and MP-SPDZ's figures
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
+  python -m bench links       the same over thin, slow, far and lossy links
   python -m bench accuracy    how far secure scores are from the true ones
   python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
+  python -m bench versus      this tree against another commit, in one run
 
 examples:
   python -m bench --score S10 --dim 8192 --security malicious --trials 10 --json
@@ -57,8 +63,11 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "agents": bench.agents.cli.main,
     "attacks": bench.attacks.cli.main,
     "gallery": bench.gallery.main,
+    "links": bench.links.cli.main,
     "oracle": bench.oracle.main,
+    "report": bench.report.cli.main,
     "sweep": bench.sweep.cli.main,
+    "versus": bench.versus.main,
 }
 """The commands beside the one without a name."""
 

@@ -1,0 +1,1 @@
+"""Comparisons under the links that robots have: thin, slow, far away, lossy."""
