@@ -72,7 +72,8 @@ class Straight:
         stats: Stats,
     ) -> Any:
         """The protocol, from the owner's quantised input to the opened result."""
-        stats.correlations.update(self.correlations)
+        for kind, number in self.correlations.items():
+            stats.book(kind, number)
         return await self.code.online(early, alpha, mac_check, data)
 
 

@@ -84,6 +84,8 @@ class Session(Conversing):
         super().__init__(channel, "session")
         self._tape = tape
         self._left = tape.remaining
+        first, second = tape.header.program["shapes"]
+        self._shapes: tuple[Shape, Shape] = (tuple(first), tuple(second))
         self._reserved: deque[_Reserved] = deque()
         self._programs = Programs(self.shapes, tape.header.security, tape.header.party)
         with self._guard():
@@ -126,8 +128,7 @@ class Session(Conversing):
     @property
     def shapes(self) -> tuple[Shape, Shape]:
         """Input shapes of both parties in one job."""
-        first, second = self._tape.header.program["shapes"]
-        return tuple(first), tuple(second)
+        return self._shapes
 
     # -- running -------------------------------------------------------------------------------------
 
@@ -189,7 +190,7 @@ class Session(Conversing):
                 f"{MAX_FRAME >> 20} MB: run fewer at once"
             )
         with self._guard():
-            self._agreement.program(plan.text, len(inputs), str(getattr(program, "__name__", program)))
+            self._agreement.program(plan.text, len(inputs), program)
             if len(inputs) > len(self._reserved):
                 self._reserve(len(inputs) - len(self._reserved))
             jobs = [self._reserved.popleft() for _ in inputs]
