@@ -135,17 +135,17 @@ def pack_abort(reason: AbortReason, session: int, round_: int) -> bytes:
     return pack_header(FrameKind.ABORT, DType.BYTES, session, round_, 1) + bytes([reason])
 
 
-def byte_views(payload: Payload) -> list[memoryview]:
+def byte_views(payload: Payload) -> list[Buffer]:
     """The buffers of a payload as flat bytes, without copying; empty ones are left out.
 
     Raises:
         ValueError: if a buffer is not C-contiguous or has no plain element type.
     """
-    views = []
+    views: list[Buffer] = []
     for buffer in payload:
         if type(buffer) is bytes:
             if buffer:
-                views.append(memoryview(buffer))
+                views.append(buffer)
             continue
         view = memoryview(buffer)  # type: ignore[arg-type]  # ndarray
         if view.nbytes == 0:

@@ -10,6 +10,7 @@ from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import MAX_FRAME, merge_small
 from spdz.channels.stream import Stream, describe, is_about_a_certificate
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
+from spdz.foundations.types import Buffer
 
 _SLICE = 256 << 10  # bytes offered to one send, so that both directions take turns
 _SPINS = 100
@@ -35,8 +36,9 @@ class SocketChannel(Channel):
         self._send_error: OSError | None = None
         self._ahead = b""  # the byte that was waited for
 
-    def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
-        pieces = merge_small(frame)[::-1]
+    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
+        pieces = merge_small(frame)
+        pieces.reverse()
         stream = self._stream
         ready = stream.reads_ahead
         self._in_frame = True
@@ -101,7 +103,7 @@ class SocketChannel(Channel):
                 self._stream.flush()
                 return False
             piece = pieces[-1]
-            sent = self._stream.send(piece[:_SLICE])
+            sent = self._stream.send(piece if len(piece) <= _SLICE else piece[:_SLICE])
         except OSError as error:  # the peer is gone, but may have said why: go on reading
             self._send_error = error
             pieces.clear()

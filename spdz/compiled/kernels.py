@@ -30,12 +30,10 @@ def element_of(raw: Buffer) -> int:
     return number
 
 
-def elements_of(raw: Buffer, count: int) -> list[int]:
+def elements_of(raw: Buffer) -> list[int]:
     """A peer's elements, likewise."""
-    numbers = [
-        int.from_bytes(raw[i : i + ELEMENT_BYTES], "little")
-        for i in range(0, count * ELEMENT_BYTES, ELEMENT_BYTES)
-    ]
+    words = np.frombuffer(raw, dtype="<u8").tolist()
+    numbers = [low | high << 64 for low, high in zip(words[::2], words[1::2], strict=True)]
     if max(numbers) >= P:
         raise not_canonical()
     return numbers
@@ -65,7 +63,10 @@ def check_hidden(words: list[int], low: int, high: int) -> None:
 
 def words_of(raw: Buffer, size: int, low: int, high: int) -> list[int]:
     """A peer's words of so many bytes; ProtocolViolation unless all are in [low, high)."""
-    words = [int.from_bytes(raw[i : i + size], "little") for i in range(0, len(raw), size)]
+    octets = np.frombuffer(raw, dtype=np.uint8).reshape(-1, size)
+    full = np.zeros((len(octets), 8), dtype=np.uint8)
+    full[:, :size] = octets
+    words: list[int] = full.view("<i8").ravel().tolist()
     if min(words) < low or max(words) >= high:
         raise outside()
     return words

@@ -161,7 +161,7 @@ class TracedRing(TracedArithmetic):
             return self.trace.note(
                 f"{self._name(kernels.element_of)}({{0}})", slot, form="one", shape=shape, effect=True
             )
-        text = f"{self._name(kernels.elements_of)}({{0}}, {count})"
+        text = f"{self._name(kernels.elements_of)}({{0}})"
         return self.trace.note(text, slot, form="few", shape=shape, effect=True)
 
     def call(self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import types
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,7 @@ from spdz.foundations.errors import TapeDamaged
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray
 from spdz.readings.streams import JobStream
-from spdz.rounds.coroutine import Check, Exchange
+from spdz.rounds.coroutine import Check, Exchange, Request
 from spdz.rounds.mac_check import MacCheck
 
 _PLACE = re.compile(r"<(pad|stored) (\d+) (\d+)>")
@@ -35,7 +35,7 @@ class Code:
 
     source: str
     ahead: Callable[[JobStream, int | None], tuple[Any, ...]] = field(repr=False)
-    online: Callable[..., Any] = field(repr=False)
+    online: Callable[..., Generator[Request, Any, Any]] = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +63,18 @@ class Straight:
             raise TapeDamaged("the job is not of the size that the program needs")
         return self.code.ahead(stream, alpha)
 
-    async def run(
+    def run(
         self,
         early: tuple[Any, ...],
         alpha: int | None,
         mac_check: MacCheck | None,
         data: IntArray,
         stats: Stats,
-    ) -> Any:
-        """The protocol, from the owner's quantised input to the opened result."""
+    ) -> Generator[Request, Any, Any]:
+        """The protocol, from the owner's quantised input to the opened result: it can be awaited, too."""
         for kind, number in self.correlations.items():
             stats.book(kind, number)
-        return await self.code.online(early, alpha, mac_check, data)
+        return self.code.online(early, alpha, mac_check, data)
 
 
 def written(trace: Trace, result: Slot) -> Code:

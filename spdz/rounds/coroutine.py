@@ -89,10 +89,10 @@ async def parallel(*protocols: Protocol[Any]) -> list[Any]:
     The frames of all lanes that exchange travel as one frame. A lane that asks for a check waits until
     every other lane asks for one too or has finished: one check at a time, and it travels alone.
     """
-    others = [type(one).__name__ for one in protocols if not isinstance(one, Coroutine)]
+    others = [type(one).__name__ for one in protocols if not isinstance(one, (Coroutine, Generator))]
     if others:
         for protocol in protocols:
-            if isinstance(protocol, Coroutine):
+            if isinstance(protocol, (Coroutine, Generator)):
                 protocol.close()
         raise TypeError(f"parallel takes what is not awaited yet, such as nonnegative(x), not {others[0]}")
     lanes: list[_Lane] = []

@@ -175,11 +175,16 @@ class Session(Conversing):
             MacCheckFailed: if the peer cheated; nothing is output and the tape is destroyed.
             ChannelError: if the connection fails.
         """
-        result = self.run_many(program, [data])
-        return Result(result.value[0], result.stats)
+        (value,), stats = self._run(program, [data])
+        return Result(value, stats)
 
     def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
         """Run several jobs in the same rounds; the result's value is a list."""
+        return Result(*self._run(program, data))
+
+    # -- the parts of a run --------------------------------------------------------------------------
+
+    def _run(self, program: Program, data: Sequence[npt.ArrayLike]) -> tuple[list[Any], Stats]:
         self._require_alive()
         plan = self._plan(program)
         inputs = [self._quantise(program, one) for one in data]
@@ -201,10 +206,9 @@ class Session(Conversing):
             lanes = [
                 self._lane(program, code, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)
             ]
-            values = run_channel(drive(_all(lanes), self._agreement.mac_check), self._channel, stats)
-        return Result(values, stats)
-
-    # -- the parts of a run --------------------------------------------------------------------------
+            protocol = lanes[0] if len(lanes) == 1 else parallel(*lanes)
+            value = run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+        return [value] if len(lanes) == 1 else value, stats
 
     def _plan(self, program: Program) -> Plan:
         """The meter's plan, held against the tape."""
@@ -260,10 +264,6 @@ class Session(Conversing):
 
     def _release(self) -> None:
         self._tape.close()
-
-
-async def _all(lanes: Sequence[Any]) -> list[Any]:
-    return [await lanes[0]] if len(lanes) == 1 else await parallel(*lanes)
 
 
 def _describe(program: Any) -> str:
