@@ -1,7 +1,6 @@
 """Attacks on the MAC check itself: what an insider may send instead of its hash, knowing the honest one."""
 
 import hashlib
-from hashlib import sha256
 from itertools import product
 
 import numpy as np
@@ -11,6 +10,8 @@ from insider_programs import dealt
 from lies import ELEMENT, element
 
 from spdz.rounds.mac_check import DIGEST_BYTES
+
+ANOTHER_SESSION = hashlib.sha256(b"spdz mac-check" + bytes(32))
 
 
 def zero_sigmas(ledger):
