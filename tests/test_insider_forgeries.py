@@ -33,9 +33,7 @@ FORGERIES = {
     "over sigmas that are 0": lambda ledger, theirs: ledger.as_if(opened=zero_sigmas(ledger)),
     "under another alpha": lambda ledger, theirs: ledger.as_if(alpha=ledger._alpha + 1),
     "under another transcript": lambda ledger, theirs: ledger.as_if(transcript=hashlib.sha256()),
-    "under another session": lambda ledger, theirs: ledger.as_if(
-        prefix=sha256(b"spdz mac-check" + bytes(32))
-    ),
+    "under another session": lambda ledger, theirs: ledger.as_if(prefix=ANOTHER_SESSION),
     "of the next check": lambda ledger, theirs: ledger.as_if(checks=ledger._checks + 1),
 }
 """None is what the honest party expects, lie or no lie (but under another alpha, where all opened is 0)."""

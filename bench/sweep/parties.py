@@ -74,7 +74,7 @@ class SecureWork:
         tape = Tape.open(self.tape, state_dir=self.state)
         channel = _channel(index, self.port)
         with Session(tape, channel) as session:
-            session.reserve(WARM_UP + len(self.vectors) + 1)
+            session.reserve(WARM_UP + len(self.vectors) + 1, self.program)
 
             def once(vector: FloatArray) -> Any:
                 return session.run(self.program, vector)
