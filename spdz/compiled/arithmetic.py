@@ -25,6 +25,9 @@ from spdz.foundations.types import Shape
 ROOM = 512
 """Bits that an unreduced integer may have: a reduction costs more than a longer product (measured)."""
 
+_LIMB, _EARLY_LIMB = 22, 16
+"""Bits of limbs in dot products: of what is split online, and of what was split ahead."""
+
 _WORD = 62
 """Bits of the longest short integers: a sum of two does not wrap."""
 
@@ -181,16 +184,24 @@ class TracedArithmetic(TracedShapes):
             a, b = b, a
         if a.form != "words":
             return self._arrays(inner_product.dot, (), a, b)
-        bits, width = a.bits + b.bits + n.bit_length(), kernels.limb_width(n)
-        left = self._word_limbs(a, width)
-        if b.form == "words":
-            right, other, turned = self._word_limbs(b, width), width, ".T"
-        else:
-            text = f"{self._name(kernels.element_limbs)}({{0}})"
-            right, other, turned = self.trace.note(text, self.array(b), form="other"), 16, ""
-        text = f"{self._name(kernels.joined)}({{0}} @ {{1}}{turned}, {width}, {other})"
+        if (origin := self._origins.get(a.name)) is not None:
+            # Of the two, the own input is short, and what depends on the mask alone is done ahead.
+            x, r = origin
+            difference: Slot = self.sub(self._single_dot(x, b, n), self._single_dot(r, b, n))
+            return difference
+        (left, width), (right, other) = self._limbs(a), self._limbs(b)
+        length = kernels.exact_length(width, other)
+        products = "{0} @ {1}.T" if n <= length else f"{self._name(kernels.chunked)}({{0}}, {{1}}, {length})"
+        text = f"{self._name(kernels.joined)}({products}, {width}, {other})"
+        bits = a.bits + b.bits + n.bit_length()
         return self.trace.note(text, left, right, form="one", bits=bits, reduced=False)
 
-    def _word_limbs(self, a: Slot, width: int) -> Slot:
-        count = -(-a.bits // width)
-        return self.trace.note(f"{self._name(kernels.word_limbs)}({{0}}, {count}, {width})", a, form="other")
+    def _limbs(self, a: Slot) -> tuple[Slot, int]:
+        """Limbs, and their bits: few of them where they are made after the input is known."""
+        if a.form != "words":
+            text = f"{self._name(kernels.element_limbs)}({{0}})"
+            return self.trace.note(text, self.array(a), form="other"), _EARLY_LIMB
+        count = -(-a.bits // (_EARLY_LIMB if a.early else _LIMB))
+        width = -(-a.bits // count)
+        text = f"{self._name(kernels.word_limbs)}({{0}}, {count}, {width})"
+        return self.trace.note(text, a, form="other"), width

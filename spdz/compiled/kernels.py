@@ -81,9 +81,21 @@ def mask_words(pad: FieldArray, bits: int) -> IntArray:
 # -- dot products of two vectors ---------------------------------------------------------------------------
 
 
-def limb_width(n: int) -> int:
-    """Bits of a limb, such that sums of n products of two are exact."""
-    return (_EXACT - (n - 1).bit_length()) // 2
+def exact_length(left: int, right: int) -> int:
+    """So many products of limbs of so many bits add up to at most 2^53: float64 holds the sum exactly."""
+    return 1 << max(_EXACT - left - right, 0)
+
+
+def chunked(a: FloatArray, b: FloatArray, length: int) -> IntArray:
+    """``a @ b.T`` of limbs (K, N) and (L, N), exact in pieces of this length, which are added as integers.
+
+    Each is at most 2^53, so that 2^10 pieces stay below 2^63: of 512 coordinates or more, half a million.
+    """
+    total = np.zeros((len(a), len(b)), dtype=np.int64)
+    for start in range(0, a.shape[1], length):
+        piece = slice(start, start + length)
+        total += (a[:, piece] @ b[:, piece].T).astype(np.int64)
+    return total
 
 
 def word_limbs(words: IntArray, count: int, width: int) -> FloatArray:
@@ -98,11 +110,12 @@ def word_limbs(words: IntArray, count: int, width: int) -> FloatArray:
 
 
 def element_limbs(a: FieldArray) -> FloatArray:
-    """The eight 16-bit limbs of elements, shape (N, 8)."""
-    return np.ascontiguousarray(a).view("<u2").astype(np.float64)
+    """The eight 16-bit limbs of elements, shape (8, N)."""
+    limbs: FloatArray = np.ascontiguousarray(a).view("<u2").T.astype(np.float64, order="C")
+    return limbs
 
 
-def joined(products: FloatArray, left: int, right: int) -> int:
+def joined(products: FloatArray | IntArray, left: int, right: int) -> int:
     """sum_ij products_ij 2^(left i + right j), for exact integers: not reduced."""
     total = 0
     for row in reversed(products.tolist()):

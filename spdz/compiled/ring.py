@@ -96,11 +96,13 @@ class TracedRing(TracedArithmetic):
         ends = f"{norm}, {(1 << bits) - norm}"
         if self._is_few(x.shape):
             difference = self.sub(x, r)
-            words = "[{0}]" if difference.form == "one" else "{0}"
-            self.trace.do(f"{self._name(kernels.check_hidden)}({words}, {ends})", difference)
+            checked = "[{0}]" if difference.form == "one" else "{0}"
+            self.trace.do(f"{self._name(kernels.check_hidden)}({checked}, {ends})", difference)
             return self._known(difference, bits)
         text = f"{self._name(kernels.hidden_words)}({{0}}, {{1}}, {ends})"
-        return self.trace.note(text, x, r, form="words", shape=x.shape, bits=bits, effect=True)
+        words = self.trace.note(text, x, r, form="words", shape=x.shape, bits=bits, effect=True)
+        self._origins[words.name] = (x, r)
+        return words
 
     def _known(self, a: Slot, bits: int) -> Slot:
         """The same integers, of which more is known."""

@@ -38,6 +38,8 @@ class TracedShapes(PartyRing):
 
     def __init__(self, trace: Trace) -> None:
         self.trace = trace
+        self._origins: dict[str, tuple[Slot, Slot]] = {}
+        """Of own words: the input, and the mask that was subtracted."""
 
     # -- forms ---------------------------------------------------------------------------------------
 

@@ -86,7 +86,7 @@ def hide(x: IntArray, r: FieldArray, mask_bits: int, norm: int) -> npt.NDArray[A
     if mask_bits == LONG:
         return field.sub_from_int64(x, r)
     words = x + field_offsets(r)
-    if not inside(words, mask_bits, norm).all():
+    if not all_inside(words, mask_bits, norm):
         raise unsuited()
     return words
 
@@ -110,6 +110,11 @@ def inside(words: IntArray, mask_bits: int, norm: int) -> npt.NDArray[np.bool_]:
     return np.asarray((words >= norm) & (words < (1 << mask_bits) - norm))
 
 
+def all_inside(words: IntArray, mask_bits: int, norm: int) -> bool:
+    """Whether all do (there is at least one)."""
+    return bool(words.min() >= norm and words.max() < (1 << mask_bits) - norm)
+
+
 def pack(words: IntArray, mask_bits: int) -> npt.NDArray[np.uint8]:
     """Words as ceil(w / 8) bytes each, little-endian."""
     size = element_bytes(mask_bits)
@@ -125,7 +130,7 @@ def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
         ProtocolViolation: if one lies outside the interval.
     """
     words = read_packed(raw, shape, mask_bits)
-    if not inside(words, mask_bits, norm).all():
+    if not all_inside(words, mask_bits, norm):
         raise outside()
     return words
 
@@ -145,8 +150,10 @@ def outside() -> ProtocolViolation:
 
 def read_packed(raw: Buffer, shape: Shape, bits: int) -> IntArray:
     """Numbers as :func:`pack` has packed them. A peer's may have more bits than told, up to whole bytes."""
-    full = np.zeros((prod(shape), 8), dtype=np.uint8)
     size = element_bytes(bits)
+    if size == 8:
+        return np.frombuffer(raw, dtype="<i8").reshape(shape)
+    full = np.zeros((prod(shape), 8), dtype=np.uint8)
     full[:, :size] = np.frombuffer(raw, dtype=np.uint8).reshape(prod(shape), size)
     words: IntArray = full.view("<i8").reshape(shape)
     return words
