@@ -179,7 +179,7 @@ class TracedArithmetic(TracedShapes):
         """Of two long vectors, as one exact floating-point product of their limbs."""
         if a.form != "words":
             a, b = b, a
-        if a.form != "words":
+        if a.form != "words" or n > kernels.LONGEST:
             return self._arrays(inner_product.dot, (), a, b)
         bits, width = a.bits + b.bits + n.bit_length(), kernels.limb_width(n)
         left = self._word_limbs(a, width)

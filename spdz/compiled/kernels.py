@@ -14,6 +14,10 @@ from spdz.values.input_mask import outside, unsuited
 _EXACT = 53
 """float64 represents all integers of so many bits."""
 
+LONGEST = 1 << 22
+"""Entries up to which sums of products of a limb of :func:`limb_width` bits and one of 16 are exact as well:
+15 + 16 + 22 bits."""
+
 
 def array_of(numbers: Any, shape: Shape) -> FieldArray:
     """Integers in [0, p), one or a sequence, as elements of a shape."""
