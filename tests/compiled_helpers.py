@@ -159,7 +159,7 @@ def same(one, other):
     assert one.requests == other.requests
     assert (type(one.error), str(one.error)) == (type(other.error), str(other.error))
     assert one.check == other.check
-    if one.error is None:
+    if one.value is not None:
         assert one.correlations == other.correlations
         assert type(one.value) is type(other.value)
         assert np.array_equal(one.value, other.value)

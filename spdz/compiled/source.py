@@ -33,7 +33,7 @@ _GAP = 8
 class Code:
     """The two functions, and their source."""
 
-    source: str
+    source: str = field(repr=False)
     ahead: Callable[[JobStream, int | None], tuple[Any, ...]] = field(repr=False)
     online: Callable[..., Any] = field(repr=False)
 
