@@ -153,6 +153,13 @@ def unit_vectors(n, seed=1, length=1.0):
     return x, y
 
 
+def turned(frame, bit):
+    """A frame with one bit turned over."""
+    octets = bytearray(frame)
+    octets[bit // 8] ^= 1 << bit % 8
+    return bytes(octets)
+
+
 def same(one, other):
     """Hold two outcomes to each other, frame by frame."""
     assert one.frames == other.frames

@@ -1,4 +1,4 @@
-"""What compiled code refuses, it refuses as the ordinary reading does: in the same place, in the same words."""
+"""What compiled code refuses, it refuses as the ordinary reading does: at the same place, in its words."""
 
 import numpy as np
 import pytest

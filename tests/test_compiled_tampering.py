@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from compiled_helpers import deal, hold, unit_vectors
+from compiled_helpers import deal, hold, turned, unit_vectors
 
 from protocols import is_candidate
 from protocols.scores import S2, S4, S6, S8, S10
@@ -18,13 +18,6 @@ PROGRAMS = {
     "S10 decided": is_candidate(S10.within(1.0), 0.1),
     "S4 decided": is_candidate(S4.within(1.0), 0.9),
 }
-
-
-def turned(frame, bit):
-    """A frame with one bit turned over."""
-    octets = bytearray(frame)
-    octets[bit // 8] ^= 1 << bit % 8
-    return bytes(octets)
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
