@@ -1,15 +1,20 @@
 """One job read by the ordinary party and by compiled code: the same tape, the same replies of the peer."""
 
 import secrets
+from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from unittest.mock import patch
 
 import numpy as np
 
 from dealer.randomness import random_mac_key
 from dealer.recipe import deal_job
 from spdz import measure
+from spdz.compiled.programs import Programs
 from spdz.compiled.record import compiled
+from spdz.compiled.source import Straight
 from spdz.foundations.errors import SpdzError
 from spdz.foundations.stats import Stats
 from spdz.local import lock_step
@@ -186,3 +191,45 @@ def hold_honest(job):
     assert [one.frames for one in outcomes] == list(job.frames)
     assert np.array_equal(outcomes[0].value, outcomes[1].value)
     return outcomes[0].value
+
+
+# -- sessions -------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def readings():
+    """Counts, by party, the jobs that are read, that run as code, and that are computed ahead."""
+    seen = Counter()
+    party, run, ahead = Party.__init__, Straight.run, Straight.ahead
+
+    def reading(self, index, *rest):
+        if type(self) is Party:
+            seen["read", index] += 1
+        party(self, index, *rest)
+
+    def running(self, *rest):
+        seen["run"] += 1
+        return run(self, *rest)
+
+    def computing(self, *rest):
+        seen["ahead"] += 1
+        return ahead(self, *rest)
+
+    with (
+        patch.object(Party, "__init__", reading),
+        patch.object(Straight, "run", running),
+        patch.object(Straight, "ahead", computing),
+    ):
+        yield seen
+
+
+@contextmanager
+def one_reads(index):
+    """This party's sessions compile nothing."""
+    code = Programs.code
+
+    def never(self, program, *, again=False):
+        return None if self._party == index else code(self, program, again=again)
+
+    with patch.object(Programs, "code", never):
+        yield

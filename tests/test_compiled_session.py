@@ -1,13 +1,14 @@
 """Sessions run a program's code from the second run on, or from the first where jobs were reserved for it."""
 
+import gc
+import weakref
 from collections import Counter
-from contextlib import contextmanager
 from dataclasses import dataclass
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-from compiled_helpers import SECURITIES, turned
+from compiled_helpers import SECURITIES, one_reads, readings, turned
 from session_helpers import deal, run_pair, state_dirs
 
 from protocols import is_candidate
@@ -16,10 +17,9 @@ from spdz import MacCheckFailed, PeerAborted, dot
 from spdz.channels import FrameKind, memory_pair
 from spdz.compiled.programs import Programs
 from spdz.compiled.slots import NotCompiled
-from spdz.compiled.source import Straight
 from spdz.foundations.errors import TapeDestroyed
-from spdz.readings.party import Party
 from spdz.readings.plans import KEPT, unchanging
+from spdz.session.session import _Reserved
 from spdz.tape import Tape
 from spdz.values.columns import columns
 
@@ -27,45 +27,6 @@ N = 6
 SHAPES = ((N,), (N,))
 X, Y = np.linspace(-0.3, 0.5, N), np.linspace(0.4, -0.2, N)
 OWN = (X, Y)
-
-
-@contextmanager
-def readings():
-    """Counts, by party, the jobs that are read, that run as code, and that are computed ahead."""
-    seen = Counter()
-    party, run, ahead = Party.__init__, Straight.run, Straight.ahead
-
-    def reading(self, index, *rest):
-        if type(self) is Party:
-            seen["read", index] += 1
-        party(self, index, *rest)
-
-    def running(self, *rest):
-        seen["run"] += 1
-        return run(self, *rest)
-
-    def computing(self, *rest):
-        seen["ahead"] += 1
-        return ahead(self, *rest)
-
-    with (
-        patch.object(Party, "__init__", reading),
-        patch.object(Straight, "run", running),
-        patch.object(Straight, "ahead", computing),
-    ):
-        yield seen
-
-
-@contextmanager
-def one_reads(index):
-    """This party's sessions compile nothing."""
-    code = Programs.code
-
-    def never(self, program, *, again=False):
-        return None if self._party == index else code(self, program, again=again)
-
-    with patch.object(Programs, "code", never):
-        yield
 
 
 def values(session, programs):
@@ -249,6 +210,25 @@ def test_what_is_not_compiled_is_tried_once():
     with patch("spdz.compiled.programs.compiled", side_effect=NotCompiled("no")) as attempt:
         assert [programs.code(S10) for _ in range(4)] == [None] * 4
     assert attempt.call_count == 1
+
+
+def test_what_is_not_compiled_keeps_no_job_and_no_input_alive(tmp_path):
+    """An error that is kept keeps the frames that it went through, and their locals."""
+    program = Looking()
+    paths, jobs = deal(tmp_path / "m", program, SHAPES, 3), []
+
+    class Watched(_Reserved):
+        def __init__(self, *parts):
+            super().__init__(*parts)
+            jobs.append(weakref.ref(self))
+
+    with patch("spdz.session.session._Reserved", Watched):
+        sessions = run_pair(
+            paths, state_dirs(tmp_path), lambda one: (values(one, [program] * 3), one._programs)
+        )
+    gc.collect()
+    assert len(jobs) == 6 and len(sessions) == 2
+    assert [one() for one in jobs] == [None] * 6
 
 
 def test_code_goes_with_its_plan():
