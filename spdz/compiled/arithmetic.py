@@ -182,7 +182,7 @@ class TracedArithmetic(TracedShapes):
         """Of two long vectors, as one exact floating-point product of their limbs."""
         if a.form != "words":
             a, b = b, a
-        if a.form != "words":
+        if a.form != "words" or n > kernels.LONGEST:
             return self._arrays(inner_product.dot, (), a, b)
         if (origin := self._origins.get(a.name)) is not None:
             # Of the two, the own input is short, and what depends on the mask alone is done ahead.
@@ -190,9 +190,7 @@ class TracedArithmetic(TracedShapes):
             difference: Slot = self.sub(self._single_dot(x, b, n), self._single_dot(r, b, n))
             return difference
         (left, width), (right, other) = self._limbs(a), self._limbs(b)
-        length = kernels.exact_length(width, other)
-        products = "{0} @ {1}.T" if n <= length else f"{self._name(kernels.chunked)}({{0}}, {{1}}, {length})"
-        text = f"{self._name(kernels.joined)}({products}, {width}, {other})"
+        text = f"{self._name(kernels.product)}({{0}}, {{1}}, {width}, {other})"
         bits = a.bits + b.bits + n.bit_length()
         return self.trace.note(text, left, right, form="one", bits=bits, reduced=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,13 @@ from spdz.values.input_mask import outside, unsuited
 
 _EXACT = 53
 """float64 represents all integers of so many bits."""
+
+LONGEST = 1 << 18
+"""Coordinates of a dot product by limbs (:func:`product`)."""
+
+LONGEST = 1 << 22
+"""Entries up to which sums of products of a limb of :func:`limb_width` bits and one of 16 are exact as well:
+15 + 16 + 22 bits."""
 
 
 def array_of(numbers: Any, shape: Shape) -> FieldArray:
@@ -81,23 +89,6 @@ def mask_words(pad: FieldArray, bits: int) -> IntArray:
 # -- dot products of two vectors ---------------------------------------------------------------------------
 
 
-def exact_length(left: int, right: int) -> int:
-    """So many products of limbs of so many bits add up to at most 2^53: float64 holds the sum exactly."""
-    return 1 << max(_EXACT - left - right, 0)
-
-
-def chunked(a: FloatArray, b: FloatArray, length: int) -> IntArray:
-    """``a @ b.T`` of limbs (K, N) and (L, N), exact in pieces of this length, which are added as integers.
-
-    Each is at most 2^53, so that 2^10 pieces stay below 2^63: of 512 coordinates or more, half a million.
-    """
-    total = np.zeros((len(a), len(b)), dtype=np.int64)
-    for start in range(0, a.shape[1], length):
-        piece = slice(start, start + length)
-        total += (a[:, piece] @ b[:, piece].T).astype(np.int64)
-    return total
-
-
 def word_limbs(words: IntArray, count: int, width: int) -> FloatArray:
     """Limbs of short integers, shape (count, N): all but the last are in [0, 2^width)."""
     limbs = np.empty((count, len(words)))
@@ -115,10 +106,33 @@ def element_limbs(a: FieldArray) -> FloatArray:
     return limbs
 
 
-def joined(products: FloatArray | IntArray, left: int, right: int) -> int:
-    """sum_ij products_ij 2^(left i + right j), for exact integers: not reduced."""
+def product(a: FloatArray, b: FloatArray, left: int, right: int) -> int:
+    """The dot product of two vectors, from their limbs of so many bits: exact, not reduced.
+
+    So many coordinates' products of limbs add up to at most 2^53, which float64 holds exactly. More are taken
+    in pieces, whose sums are integers: of limbs of 22 bits 2^9 coordinates make a piece, and 2^9 pieces stay
+    below 2^63.
+
+    Args:
+        a: Shape (K, N).
+        b: Shape (L, N).
+        left: Bits of a limb of a.
+        right: Bits of a limb of b.
+    """
+    length = 1 << (_EXACT - left - right)
+    if a.shape[1] <= length:
+        return _joined((a @ b.T).tolist(), left, right)
+    total = np.zeros((len(a), len(b)), dtype=np.int64)
+    for start in range(0, a.shape[1], length):
+        piece = slice(start, start + length)
+        total += (a[:, piece] @ b[:, piece].T).astype(np.int64)
+    return _joined(total.tolist(), left, right)
+
+
+def _joined(products: Sequence[Sequence[float]], left: int, right: int) -> int:
+    """sum_ij products_ij 2^(left i + right j)."""
     total = 0
-    for row in reversed(products.tolist()):
+    for row in reversed(products):
         inner = 0
         for number in reversed(row):
             inner = (inner << right) + int(number)

@@ -41,5 +41,5 @@ class Programs(Plans):
             try:
                 known.code = compiled(program, known.plan, self._party, self._security)
             except NotCompiled as error:
-                known.code = error
+                known.code = str(error)  # the error itself would keep its callers' inputs and jobs alive
         return known.code if isinstance(known.code, Straight) else None

@@ -80,7 +80,7 @@ def compiled(program: Program, plan: Plan, party: int, security: Security) -> St
     inputs = [_with_data(trace, source) if source.owner == party else source for source in plan.inputs]
     result = _read(run(reader, program, inputs), trace, reader)
     sizes = (plan.pad_bytes[party], plan.correction_bytes[party])
-    return Straight(written(trace, result), sizes, stats.correlations)
+    return Straight(written(trace, result), security, sizes, stats.correlations)
 
 
 def _with_data(trace: Trace, source: Input) -> Input:

@@ -126,15 +126,14 @@ class TracedRing(TracedArithmetic):
             return self.trace.note(text, raw.slot, form="words", shape=shape, bits=bits, effect=True)
         size = input_mask.element_bytes(bits)
         text = f"{self._name(kernels.words_of)}({{0}}, {size}, {norm}, {(1 << bits) - norm})"
-        words = self.trace.note(text, raw.slot, form="few", shape=(0,), bits=bits, effect=True)
-        return self._first_or_all(words, shape)
+        words = self.trace.note(text, raw.slot, form="few", shape=shape, bits=bits, effect=True)
+        return self._first_or_all(words)
 
-    def _first_or_all(self, a: Slot, shape: Shape) -> Slot:
-        """A list of so many integers as a slot of a shape."""
-        sequence = Slot(a.name, "few", shape, a.bits, a.reduced, a.early)
-        if sequence.size > 1:
-            return sequence
-        return self.trace.note("{0}[0]", sequence, form="one", shape=shape, bits=a.bits, reduced=a.reduced)
+    def _first_or_all(self, a: Slot) -> Slot:
+        """A list of integers, or the only one."""
+        if a.size > 1:
+            return a
+        return self.trace.note("{0}[0]", a, form="one", shape=a.shape, bits=a.bits, reduced=a.reduced)
 
     def word_elements(self, words: Any, bits: int) -> Any:
         """As they are."""

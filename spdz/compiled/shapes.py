@@ -85,8 +85,7 @@ class TracedShapes(PartyRing):
         return self.trace.note(text, a, form=a.form, shape=a.shape)
 
     def _literal(self, number: int, shape: Shape = ()) -> Slot:
-        text = str(number) if number >= 0 else f"({number})"
-        return Slot(text, "one", shape, number.bit_length(), 0 <= number < P, early=True)
+        return Slot(f"({number})", "one", shape, number.bit_length(), 0 <= number < P, early=True)
 
     def _name(self, what: Any) -> str:
         return self.trace.named(what)
@@ -120,8 +119,8 @@ class TracedShapes(PartyRing):
 
     def index(self, a: Any, key: tuple[Any, ...]) -> Any:
         """Basic indexing."""
-        if not self._is_few(a.shape):
-            shape = np.broadcast_to(np.False_, a.shape)[key].shape
+        shape = np.broadcast_to(np.False_, a.shape)[key].shape
+        if not self._is_few(a.shape, shape):
             if a.form == "words":
                 text = f"{{0}}[{self._name(key)}]"
                 return self.trace.note(text, a, form="words", shape=shape, bits=a.bits, reduced=a.reduced)

@@ -65,8 +65,11 @@ class Slot:
     def _refuse(self, *operands: Any) -> NoReturn:
         raise NotCompiled("this step looks at numbers that are not there yet")
 
-    __array__ = __bool__ = __len__ = __iter__ = __int__ = __index__ = _refuse
-    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __and__ = __xor__ = __rshift__ = _refuse
+    __array__ = __bool__ = __len__ = __iter__ = __int__ = __index__ = __float__ = __getitem__ = _refuse
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __neg__ = __invert__ = __abs__ = _refuse
+    __and__ = __or__ = __xor__ = __lshift__ = __rshift__ = __mod__ = __floordiv__ = __truediv__ = _refuse
+    __lt__ = __le__ = __gt__ = __ge__ = __eq__ = __ne__ = _refuse
+    __hash__ = None  # type: ignore[assignment]
 
     def __getattr__(self, name: str) -> Any:
         raise NotCompiled(f"this step asks for {name!r} of numbers that are not there yet")

@@ -19,10 +19,10 @@ from spdz.compiled.slots import Slot
 from spdz.compiled.trace import Operation, Trace
 from spdz.foundations.errors import TapeDamaged
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import IntArray
+from spdz.foundations.types import IntArray, Security
 from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import Check, Exchange, Request
-from spdz.rounds.mac_check import MacCheck
+from spdz.rounds.mac_check import MacCheck, unrecorded
 
 _PLACE = re.compile(r"<(pad|stored) (\d+) (\d+)>")
 _GAP = 8
@@ -33,7 +33,7 @@ _GAP = 8
 class Code:
     """The two functions, and their source."""
 
-    source: str
+    source: str = field(repr=False)
     ahead: Callable[[JobStream, int | None], tuple[Any, ...]] = field(repr=False)
     online: Callable[..., Generator[Request, Any, Any]] = field(repr=False)
 
@@ -44,11 +44,13 @@ class Straight:
 
     Attributes:
         code: Its functions.
+        security: The security model.
         sizes: Bytes of pad and of correction that it draws.
         correlations: What it uses, by kind.
     """
 
     code: Code
+    security: Security
     sizes: tuple[int, int]
     correlations: Counter[str]
 
@@ -58,8 +60,7 @@ class Straight:
         Raises:
             TapeDamaged: if the job has another size.
         """
-        pad, stored = stream.elements
-        if (pad.nbytes, stored.nbytes) != self.sizes:
+        if stream.sizes != self.sizes:
             raise TapeDamaged("the job is not of the size that the program needs")
         return self.code.ahead(stream, alpha)
 
@@ -71,7 +72,13 @@ class Straight:
         data: IntArray,
         stats: Stats,
     ) -> Generator[Request, Any, Any]:
-        """The protocol, from the owner's quantised input to the opened result: it can be awaited, too."""
+        """The protocol, from the owner's quantised input to the opened result: it can be awaited, too.
+
+        Raises:
+            MacCheckFailed: in the malicious mode without a check, before anything is sent.
+        """
+        if self.security == "malicious" and mac_check is None:
+            raise unrecorded()
         for kind, number in self.correlations.items():
             stats.book(kind, number)
         return self.code.online(early, alpha, mac_check, data)

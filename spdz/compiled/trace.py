@@ -71,12 +71,10 @@ class Trace:
         self.operations.append(Operation(None, text, operands, effect=True))
 
     def named(self, what: Any) -> str:
-        """A name for an object, in the texts."""
+        """A name for an object, in the texts: numbered, so that it hides no builtin and no variable."""
         if id(what) not in self._objects:
-            name = getattr(what, "__name__", "").strip("_<>") or "k"
-            name = (
-                name if name.isidentifier() and name not in self.names else f"{name or 'k'}_{len(self.names)}"
-            )
+            kind = getattr(what, "__name__", "").strip("_<>")
+            name = f"{kind if kind.isidentifier() else 'k'}_{len(self.names)}"
             self._objects[id(what)] = name
             self.names[name] = what
         return self._objects[id(what)]

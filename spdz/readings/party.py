@@ -21,12 +21,11 @@ import numpy.typing as npt
 
 from spdz.arithmetic.public import Raw
 from spdz.dcf import Keys
-from spdz.foundations.errors import MacCheckFailed
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import Block, FieldArray, Security, Shape
 from spdz.readings.streams import JobStream, RecordStream
 from spdz.rounds.coroutine import exchange
-from spdz.rounds.mac_check import MacCheck
+from spdz.rounds.mac_check import MacCheck, unrecorded
 from spdz.rounds.wire import ELEMENT_BYTES, element_bytes
 from spdz.values.engine import Evaluation, Gate, Input, Share, Triple
 from spdz.values.party_ring import PartyRing
@@ -158,7 +157,7 @@ class Party(Evaluation):
 
     def _require_check(self) -> None:
         if self.malicious and self._mac_check is None:
-            raise MacCheckFailed("nothing is opened in the malicious mode without a check that records it")
+            raise unrecorded()
 
     # -- openings ------------------------------------------------------------------------------------
 

@@ -54,6 +54,11 @@ class JobStream:
         return stream
 
     @property
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of the pad, and stored bytes."""
+        return self._pad.nbytes, len(self._correction)
+
+    @property
     def elements(self) -> tuple[FieldArray, FieldArray]:
         """The whole pad and all that is stored, as elements, to be read in any order."""
         return self._pad, np.frombuffer(self._correction, dtype=np.uint64).reshape(-1, 2)

@@ -160,6 +160,11 @@ class MacCheck:
         return total if self._party == 0 else -total % field.P
 
 
+def unrecorded() -> MacCheckFailed:
+    """What to raise where nothing would record what is opened."""
+    return MacCheckFailed("nothing is opened in the malicious mode without a check that records it")
+
+
 def drive(protocol: Protocol[T], mac_check: MacCheck | None) -> Generator[Exchange, memoryview, T]:
     """Turn a protocol into a sequence of frames: checks become exchanges, and rounds are transcribed.
 
