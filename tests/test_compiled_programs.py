@@ -153,7 +153,7 @@ def test_a_dot_product_too_long_for_short_limbs_is_left_to_the_field():
     with patch.object(arithmetic.kernels, "LONGEST", 100):
         for n, joins in ((100, True), (101, False)):
             job = deal(S10.within(1.0), unit_vectors(n), "malicious")
-            assert ("product(" in job.codes[0].code.source) == joins
+            assert ("product_" in job.codes[0].code.source) == joins
             hold_honest(job)
 
 
