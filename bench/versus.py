@@ -13,8 +13,9 @@ from dataclasses import asdict, dataclass, field
 from math import exp, log
 from pathlib import Path
 
-from bench.commits import HistoryError, own_tree, present, resolve, tree_of
+from bench.commits import HistoryError, own_tree, resolve, tree_of
 from bench.recorded_ratios import Cell, recorded_ratios
+from bench.sweep.machine import commit
 from protocols.scores import SCORES
 from spdz.console.command import CommandParser, run_command, say_error
 from spdz.console.progress import Report, progress_bar
@@ -224,8 +225,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _write(path: Path, base: str, trees: Trees, rows: Sequence[VersusRow]) -> None:
     """Write all rows so far, at once."""
-    commit, dirty = present(trees.ours)
-    data = {"format": FORMAT, "base": base[:7], "commit": commit, "dirty": dirty}
+    own, dirty = commit()
+    data = {"format": FORMAT, "base": base[:7], "commit": own, "dirty": dirty}
     data |= {"trials": trees.trials, "repetitions": trees.repetitions, "rows": [asdict(row) for row in rows]}
     draft = path.with_suffix(".new")
     draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import bench.versus
-from bench.commits import HistoryError, present, resolve, tree_of
+from bench.commits import HistoryError, resolve, tree_of
 from bench.recorded_ratios import recorded_ratios
 from bench.versus import Trees, VersusRow, compare, row_of, summary
 
@@ -86,9 +86,6 @@ def test_a_commit_is_checked_out_aside_and_removed(repository):
         assert (tree / "file").read_text() == "1"
         assert len(git(repository, "worktree", "list").splitlines()) == 2
     assert not tree.exists() and len(git(repository, "worktree", "list").splitlines()) == 1
-    assert present(repository) == (resolve(repository, "main"), False)
-    (repository / "file").write_text("3")
-    assert present(repository)[1]
 
 
 def test_what_is_missing_is_told_with_what_to_do(repository, tmp_path, monkeypatch):
