@@ -25,7 +25,6 @@ from bench.sweep.standing import StandingPair
 from bench.sweep.stands import STATEMENT
 from protocols.scores import SCORES
 from spdz.console.command import FAILED, CommandParser, run_command, say_error
-from spdz.console.progress import progress_bar
 
 _NAME = "python -m bench sweep"
 DEFAULT_FOLDER = Path("bench-results")
@@ -146,12 +145,12 @@ def _measure(
         )
     with StandingPair() as pair, ExitStack() as stack:
         folder = stack.enter_context(_scratch(results.folder))
-        bench = Bench(pair, baseline, folder, options.trials, options.seed)
+        bench = Bench(pair, baseline, folder, options.trials, options.seed, quiet=options.json)
         for number, cell in enumerate(missing, len(wanted) - len(missing) + 1):
-            with progress_bar(f"{number} of {len(wanted)}, {cell}, dealing", quiet=options.json) as report:
-                trials = bench.measure(cell, report)
+            place = f"{number}/{len(wanted)}"
+            trials = bench.measure(cell, place)
             results.add(trials)
-            _print(trials, f"{number}/{len(wanted)}", as_json=options.json)
+            _print(trials, place, as_json=options.json)
 
 
 def _print(trials: Sequence[Trial], place: str, *, as_json: bool) -> None:

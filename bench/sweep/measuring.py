@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -23,14 +23,12 @@ from bench.sweep.results import PROFILED, Trial
 from bench.sweep.standing import StandingPair
 from dealer.tapes import deal_tapes
 from protocols.scores import SCORES
+from spdz.console.progress import progress_bar
 from spdz.foundations.types import SECURITIES, FloatArray
 from spdz.tape import Tape
 
 MAX_NORM = 1.0
 """The largest norm that the tapes serve: descriptors are unit vectors."""
-
-Progress = Callable[[int, int], None]
-"""``progress(dealt, jobs)``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +41,7 @@ class Bench:
         folder: Where tapes lie while they are used.
         trials: Counted trials of a cell.
         seed: Of the descriptors.
+        quiet: Show no progress of dealing. While trials run there is none: it would disturb them.
     """
 
     pair: StandingPair
@@ -50,9 +49,14 @@ class Bench:
     folder: Path
     trials: int
     seed: int
+    quiet: bool = True
 
-    def measure(self, cell: Cell, progress: Progress = lambda dealt, jobs: None) -> list[Trial]:
+    def measure(self, cell: Cell, place: str = "") -> list[Trial]:
         """All trials of a cell.
+
+        Args:
+            cell: The cell.
+            place: Which of how many it is, for the progress line.
 
         Raises:
             RuntimeError: if a process died, or both parties did not send the same frames.
@@ -60,7 +64,7 @@ class Bench:
             subprocess.SubprocessError: if the C++ baseline fails.
         """
         if cell.protocol in SECURITIES:
-            return self._secure(cell, progress)
+            return self._secure(cell, place)
         if cell.protocol == "numpy":
             x, y = self._pairs(cell.n)
             port = free_port()
@@ -73,22 +77,22 @@ class Bench:
         x, y = (np.rint(half * ONE) / ONE for half in draw("unit", self.trials, n, self.seed))
         return x, y
 
-    def _secure(self, cell: Cell, progress: Progress) -> list[Trial]:
+    def _secure(self, cell: Cell, place: str) -> list[Trial]:
         program, (x, y) = SCORES[cell.score].within(MAX_NORM), self._pairs(cell.n)
         security = next(one for one in SECURITIES if one == cell.protocol)
         jobs = WARM_UP + self.trials + 1
         with tempfile.TemporaryDirectory(prefix="tapes-", dir=self.folder) as folder:
             paths, state = (Path(folder, "0.tape"), Path(folder, "1.tape")), Path(folder, "state")
-            shapes = ((cell.n,), (cell.n,))
-            deal_tapes(
-                paths,
-                ("zero", "one"),
-                program,
-                shapes,
-                jobs,
-                security,
-                progress=lambda dealt: progress(dealt, jobs),
-            )
+            with progress_bar(f"{place} {cell}: dealing", quiet=self.quiet) as report:
+                deal_tapes(
+                    paths,
+                    ("zero", "one"),
+                    program,
+                    ((cell.n,), (cell.n,)),
+                    jobs,
+                    security,
+                    progress=lambda dealt: report(dealt, jobs),
+                )
             stored = []
             for path in paths:
                 with Tape.open(path, state_dir=state) as tape:
