@@ -22,6 +22,7 @@ import bench.check.cli
 import bench.gallery
 import bench.links.cli
 import bench.oracle
+import bench.report.cli
 import bench.sweep.cli
 import bench.versus
 from bench.pair import Measured, measure_clear, measure_secure
@@ -44,6 +45,7 @@ many times ours that is. It was recorded on another machine: bytes compare exact
 
 further commands, each with a --help of its own:
   python -m bench sweep       the paper's whole experiment: every protocol, length and score, resumable
+  python -m bench report      tables and plots of a results folder, beside the paper's and MP-SPDZ's figures
   python -m bench agents      a team of agents as processes, killed and watched
   python -m bench gallery     many descriptors against many that stand: pairs a second, delay, memory
   python -m bench links       the same over thin, slow, far and lossy links
@@ -66,8 +68,9 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "gallery": bench.gallery.main,
     "links": bench.links.cli.main,
     "oracle": bench.oracle.main,
-    "versus": bench.versus.main,
+    "report": bench.report.cli.main,
     "sweep": bench.sweep.cli.main,
+    "versus": bench.versus.main,
 }
 """The commands beside the one without a name."""
 

@@ -94,7 +94,7 @@ def _secure_party(index: int, task: Task, pipe: Any) -> None:
         raise ValueError("a secure party needs a tape")
     tape = Tape.open(task.tapes[index], state_dir=task.state)
     with Session(tape, _channel(index, task)) as session:
-        session.reserve(task.trials + WARM_UP)
+        session.reserve(task.trials + WARM_UP, task.program)
 
         def once() -> tuple[Any, Stats]:
             result = session.run(task.program, task.inputs[index])

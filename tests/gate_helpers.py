@@ -34,7 +34,7 @@ def _exact(raw, frac):
 
 def exactly(program, x, y, security=None):
     """Run a program (in the clear if no security model is given); its result is made of exact fractions."""
-    with patch("spdz.gates.output.decode", _exact):
+    with patch("spdz.values.party_ring.decode", _exact):
         return run_clear(program, x, y) if security is None else run_local(program, x, y, security)
 
 

@@ -31,9 +31,8 @@ from spdz.readings.party import Party
 from spdz.readings.program import declare, quantise, run
 from spdz.readings.stock import StockedParty
 from spdz.readings.streams import JobStream
-from spdz.rounds.coroutine import Check, Exchange
+from spdz.rounds.coroutine import Check, Exchange, parallel
 from spdz.rounds.mac_check import DIGEST_BYTES, MacCheck, drive
-from spdz.session.session import _all
 from spdz.values import input_mask
 
 SESSION = b"a session"
@@ -296,3 +295,7 @@ class Dealt:
         else:
             assert duel.accepted, what
         return duel.lied
+
+
+async def _all(lanes):
+    return [await lanes[0]] if len(lanes) == 1 else await parallel(*lanes)

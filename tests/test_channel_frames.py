@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz.channels import DType, FrameKind
-from spdz.channels.frames import MAX_CONTROL, FrameReader, merge_small
+from spdz.channels.frame_reader import FrameReader
+from spdz.channels.frames import MAX_CONTROL, merge_small
 from spdz.foundations.errors import ProtocolViolation, SpdzError
 
 

@@ -3,47 +3,20 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
-from html import escape
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser_helpers import WIDTHS, Elements, browse, measure
 
-from bench.demo.page import POLICY
+from bench.offline_page import POLICY
 from protocols.geometry.files import read_g2o, read_tum
 from protocols.geometry.pose_graph import optimise
 
 ROOT = Path(__file__).resolve().parent.parent
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--hide-scrollbars", "--virtual-time-budget=5000",
-)  # fmt: skip
-WIDTHS = (360, 1280)
-
-# A window is not made narrower than 500 pixels, a frame is; the page in it is the page as it was written.
-MEASURE = """<!doctype html><iframe style="border: 0; width: WIDTHpx; height: 900px" srcdoc="PAGE"></iframe>
-<script>addEventListener("load", () => {
-  const page = document.querySelector("iframe").contentDocument, width = page.documentElement.clientWidth;
-  const wide = [...page.querySelectorAll("body *")].filter(element => {
-    const box = element.getBoundingClientRect();
-    return !element.ownerSVGElement && (box.right > width + 0.5 || box.left < -0.5);
-  });
-  const pictures = [...page.querySelectorAll("svg")].map(svg => {
-    const inside = svg.getBBox(), box = svg.getBoundingClientRect();
-    return [Math.min(inside.width, inside.height, box.height), box.width];
-  });
-  const broken = [...page.images].filter(image => !image.naturalWidth).length;
-  const scroll = page.documentElement.scrollWidth;
-  const told = {width, scroll, wide: wide.map(element => element.tagName), pictures, broken};
-  document.body.textContent = JSON.stringify(told);
-});</script>"""
 
 
 @pytest.fixture(scope="module")
@@ -110,30 +83,6 @@ def test_trajectories_are_in_the_order_of_time(demo: tuple[Path, Any]) -> None:
 # --- the page --------------------------------------------------------------------------------------------
 
 
-class Elements(HTMLParser):
-    """Collects what a page is made of; a tag that is closed by another is an error."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: set[str] = set()
-        self.links: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        self.links += [
-            value or "" for name, value in attrs if name in ("src", "href", "xlink:href", "srcset")
-        ]
-        if tag not in ("meta", "link", "circle", "path", "polyline"):
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-
 def text_of(demo: tuple[Path, Any]) -> str:
     return (demo[0] / "index.html").read_text(encoding="utf-8")
 
@@ -181,27 +130,11 @@ def test_no_time_is_in_milliseconds(demo: tuple[Path, Any]) -> None:
     assert not re.search(r"\d ms\b", text_of(demo))
 
 
-def browse(page: Path, width: int, tmp_path: Path, *more: str) -> "subprocess.CompletedProcess[str]":
-    """Open a page in a fresh browser and return what it has become."""
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed")
-    size, profile = f"--window-size={width},900", f"--user-data-dir={tmp_path / 'profile'}"
-    command = [CHROMIUM, *FLAGS, size, profile, *more, page.as_uri()]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
-    assert run.returncode == 0, run.stderr
-    return run
-
-
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_is_wider_than_the_screen_and_every_picture_shows(
     width: int, demo: tuple[Path, Any], tmp_path: Path
 ) -> None:
-    page = tmp_path / "frame.html"
-    inside = escape(text_of(demo), quote=True)
-    page.write_text(MEASURE.replace("WIDTH", str(width)).replace("PAGE", inside), encoding="utf-8")
-    told = re.search(r"<body>(\{.*?\})</body>", browse(page, 1400, tmp_path, "--dump-dom").stdout, re.DOTALL)
-    assert told is not None
-    measured = json.loads(told.group(1))
+    measured = measure(text_of(demo), width, tmp_path)
     assert measured["width"] == width and measured["scroll"] == width and measured["wide"] == []
     assert len(measured["pictures"]) == 9 and measured["broken"] == 0
     assert all(inside > 30 and across > width / 5 for inside, across in measured["pictures"])

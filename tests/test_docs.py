@@ -27,6 +27,7 @@ import bench.gallery_pairs
 import bench.links.cli
 import bench.oracle
 import bench.recorded_accuracy
+import bench.report.cli
 import bench.sweep.cli
 import bench.sweep.results
 import bench.versus
@@ -281,8 +282,8 @@ def known_options() -> set[str]:
     (subparsers,) = (one for one in commands._actions if isinstance(one, argparse._SubParsersAction))
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
     parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.attacks.cli.parser()]
-    parsers += [bench.oracle.parser(), bench.sweep.cli.parser(), bench.links.cli.parser()]
-    parsers += [bench.versus.parser(), bench.check.cli.parser()]
+    parsers += [bench.oracle.parser(), bench.report.cli.parser(), bench.sweep.cli.parser()]
+    parsers += [bench.links.cli.parser(), bench.versus.parser(), bench.check.cli.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 

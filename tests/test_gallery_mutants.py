@@ -58,7 +58,7 @@ def ones(check, index, count):
 
 def known_before(check, index, count):
     """From the session alone: before a share of c is sent."""
-    stream = hashlib.shake_256(check._prefix + index.to_bytes(8, "little")).digest(16 * count)
+    stream = hashlib.shake_256(check._prefix.digest() + index.to_bytes(8, "little")).digest(16 * count)
     return [int.from_bytes(stream[i : i + 16], "little") % P for i in range(0, 16 * count, 16)]
 
 

@@ -50,10 +50,10 @@ def deltas_of(job, party):
     """One party's Delta_i of every lane, which no other party can know."""
     found, whole = [], Party.open_bits
 
-    def watched(self, shares, delta):
+    def watched(self, shares, delta, n):
         if self.index == party:
             found.append(delta[0].copy())
-        return whole(self, shares, delta)
+        return whole(self, shares, delta, n)
 
     with patch.object(Party, "open_bits", watched):
         assert job.duel().accepted
@@ -254,8 +254,8 @@ def test_the_insider_makes_an_engine_that_checks_too_late_send_bits(evil):
 def without_delta_of(index):
     whole = Party.open_bits
 
-    async def wrong(self, shares, delta):
-        return await whole(self, shares, delta * np.uint64(self.index != index))
+    async def wrong(self, shares, delta, n):
+        return await whole(self, shares, delta * np.uint64(self.index != index), n)
 
     return patch.object(Party, "open_bits", wrong)
 

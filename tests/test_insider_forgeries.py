@@ -1,6 +1,7 @@
 """Attacks on the MAC check itself: what an insider may send instead of its hash, knowing the honest one."""
 
 import hashlib
+from hashlib import sha256
 from itertools import product
 
 import numpy as np
@@ -31,7 +32,9 @@ FORGERIES = {
     "over sigmas that are 0": lambda ledger, theirs: ledger.as_if(opened=zero_sigmas(ledger)),
     "under another alpha": lambda ledger, theirs: ledger.as_if(alpha=ledger._alpha + 1),
     "under another transcript": lambda ledger, theirs: ledger.as_if(transcript=hashlib.sha256()),
-    "under another session": lambda ledger, theirs: ledger.as_if(prefix=b"spdz mac-check" + bytes(32)),
+    "under another session": lambda ledger, theirs: ledger.as_if(
+        prefix=sha256(b"spdz mac-check" + bytes(32))
+    ),
     "of the next check": lambda ledger, theirs: ledger.as_if(checks=ledger._checks + 1),
 }
 """None is what the honest party expects, lie or no lie (but under another alpha, where all opened is 0)."""

@@ -232,7 +232,7 @@ def public_number_without_alpha_of(index):
 def product_without_alpha_of(index):
     def wrong(party, *operands):
         alpha = 0 if party.index == index else party.alpha
-        return masked_product(SimpleNamespace(index=party.index, alpha=alpha), *operands)
+        return masked_product(SimpleNamespace(index=party.index, alpha=alpha, ring=party.ring), *operands)
 
     return patch("spdz.gates.beaver.masked_product", wrong)
 

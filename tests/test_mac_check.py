@@ -232,7 +232,7 @@ def test_a_malicious_party_opens_nothing_without_a_check():
     bits = np.ones((3, 2), dtype=np.uint64)
     for security, refused in (("malicious", True), ("semi-honest", False)):
         party = Party(0, security, None, None, ALPHA[0], Stats())
-        for opening in (party.open(value), party.open_bits(bits, bits[0])):
+        for opening in (party.open(value), party.open_bits(bits, bits[0], 3)):
             if refused:
                 with pytest.raises(MacCheckFailed, match="without a check"):
                     opening.send(None)

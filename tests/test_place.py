@@ -118,8 +118,8 @@ def test_the_bits_that_are_opened_on_the_way_are_uniform_whatever_matches(
     bits, numbers = [], []
     open_bits, open_elements = Party.open_bits, Party.open
 
-    async def watched_bits(party, shares, delta):
-        bits.append(await open_bits(party, shares, delta))
+    async def watched_bits(party, shares, delta, n):
+        bits.append(await open_bits(party, shares, delta, n))
         return bits[-1]
 
     async def watched(party, *values):

@@ -173,12 +173,12 @@ class WatchBits(Watch):
         super().__init__(monkeypatch)
         opening = Party.open_bits
 
-        async def watched(party, shares, delta):
+        async def watched(party, shares, delta, n):
             if party.index in self.cell:
                 rows, columns, number = self.cell[party.index]
                 self.cell[party.index][2] += 1
                 self.same(self.shares, (party.index, rows, columns, number), (shares[:, 0] & 1).tobytes())
-            return await opening(party, shares, delta)
+            return await opening(party, shares, delta, n)
 
         monkeypatch.setattr(Party, "open_bits", watched)
 

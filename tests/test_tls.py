@@ -24,7 +24,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 
 from dealer.pki import MissionAuthority, write_credentials
 from spdz.channels import tcp, tls
-from spdz.channels.frames import DType, FrameReader
+from spdz.channels.frame_reader import FrameReader
+from spdz.channels.frames import DType
 from spdz.channels.reception import MAX_HANDSHAKES, Reception
 from spdz.channels.socket_channel import lost
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted

@@ -18,10 +18,10 @@ from spdz import ChannelError, Wrapped, dot, nonnegative, run_local, truncate
 from spdz.arithmetic import field
 from spdz.arithmetic.field import P
 from spdz.gallery.ledger import Ledger
-from spdz.gates import masking
 from spdz.gates.masking import dealt_integer_mask, integer_mask
 from spdz.readings.gallery import Terms
 from spdz.tape import Tape
+from spdz.values.party_ring import PartyRing
 
 SECURITIES = ["malicious", "semi-honest"]
 
@@ -68,10 +68,10 @@ def test_a_number_is_given_up_below_a_power_of_two_exactly(bits):
     for number in ((1 << bits) - 1, 0, (1 << bits) // 3, 1 << (bits - 1)):
         for place in (0, 3):
             numbers = [P - 1, 1 << bits, 1 << 126, 1 << bits]
-            masking._refuse_wrapped(field.from_ints(numbers), bits, 127)
+            PartyRing().refuse_wrapped(field.from_ints(numbers), bits, 127)
             numbers[place] = number
             with pytest.raises(Wrapped, match=f"once in 2.{127 - bits} times: nothing was output"):
-                masking._refuse_wrapped(field.from_ints(numbers), bits, 127)
+                PartyRing().refuse_wrapped(field.from_ints(numbers), bits, 127)
 
 
 @pytest.mark.parametrize("bits", [35, 64, 86])

@@ -14,11 +14,9 @@ from bench.demo.plan import STRIKES
 from bench.demo.result import Report
 from bench.demo.scene import View
 from bench.demo.tables import Table, cost, found, learned, overheard
+from bench.offline_page import document
 from protocols.geometry.icp import INLIER, LEAST_SHARE, NEAR
 from protocols.geometry.verification import Verified
-
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""What a browser may load for the page: what is in it, and nothing else."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,24 +52,7 @@ def page(story: Story) -> str:
     style = (resources.files("bench.demo") / "style.css").read_text(encoding="utf-8")
     parts = (_opening, _alone, _compared, _verified, _merged, _cost, _learned, _after)
     body = "\n".join(part(story) for part in parts)
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<title>Two robots, one map</title>
-<link rel="icon" href="data:,">
-<style>
-{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-</body>
-</html>
-"""
+    return document("Two robots, one map", style, body)
 
 
 def _opening(story: Story) -> str:

@@ -85,11 +85,12 @@ def encode(x: npt.ArrayLike, *, max_norm: float, min_norm: float = 0.0, name: st
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = real * float(1 << FRACTION_BITS)
         np.rint(scaled, out=scaled)
-        squares = np.asarray(np.vecdot(scaled, scaled))
+        squares = scaled @ scaled if real.ndim == 1 else np.vecdot(scaled, scaled)
+        largest = squares if real.ndim == 1 else squares.max()
     # The squares and n - 1 sums err by less than n * 2^-52 relatively; NaN and infinity are not below.
     slack = n * 2.0**-52
-    if not (squares <= limit * (1 - slack)).all():
-        _explain_or_accept(real, scaled, squares, limit, slack, max_norm, name)
+    if not largest <= limit * (1 - slack):
+        _explain_or_accept(real, scaled, np.asarray(squares), limit, slack, max_norm, name)
     raw = scaled.astype(np.int64)
     if min_norm:
         least, _ = square_bounds(min_norm, max_norm, n)
@@ -117,8 +118,10 @@ def _real_array(x: npt.ArrayLike, name: str) -> FloatArray:
         raise ValueError(f"{name}: expected a vector, got a single number; wrap it in a list")
     if array.size == 0:
         raise ValueError(f"{name}: expected at least one number, got an empty array of shape {array.shape}")
+    if array.dtype == np.float64:
+        return array
     with np.errstate(over="ignore"):
-        return array.astype(np.float64, copy=False)
+        return array.astype(np.float64)
 
 
 def _explain_or_accept(

@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import TypeVar
 
+from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import (
     HEADER_BYTES,
     MAX_CONTROL,
@@ -22,7 +23,6 @@ from spdz.channels.frames import (
     AbortReason,
     DType,
     FrameKind,
-    FrameReader,
     Payload,
     byte_views,
     pack_abort,
@@ -30,10 +30,12 @@ from spdz.channels.frames import (
 )
 from spdz.channels.telling import in_seconds
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted, SpdzError
+from spdz.foundations.types import Buffer
 
 DEFAULT_TIMEOUT = 30.0
 ABORT_SECONDS = 1.0
-_EXCHANGED = (FrameKind.DATA, FrameKind.CHECK, FrameKind.CONTROL)
+_ROUNDS = frozenset({FrameKind.DATA, FrameKind.CHECK})
+_EXCHANGED = _ROUNDS | {FrameKind.CONTROL}
 LONGEST_SLEEP = 60.0
 """Seconds that one wait takes at most; every wait is in a loop. The system's calls refuse very long ones."""
 
@@ -109,19 +111,20 @@ class Channel(ABC):
         self._require_usable()
         views = byte_views(payload)
         size = sum(map(len, views))
-        self._check_request(kind, size, expect)
+        if expect is None or not (kind in _ROUNDS and size <= self._max_frame >= expect >= 0):
+            self._check_request(kind, size, expect)
         round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
         header = pack_header(kind, dtype, self._session, round_, size)
         reader = FrameReader(kind, dtype, self._session, round_, expect, self._max_control)
         try:
-            self._swap([memoryview(header), *views], reader, time.monotonic() + self._timeout)
+            self._swap([header, *views], reader, time.monotonic() + self._timeout)
         except BaseException as error:
             self._die_of(error)
             raise
-        if kind == FrameKind.CONTROL:
-            self.control_rounds += 1
-        else:
+        if kind in _ROUNDS:
             self.rounds += 1
+        else:
+            self.control_rounds += 1
         self.bytes_sent += HEADER_BYTES + size
         self.bytes_received += reader.received
         return reader.payload()
@@ -220,11 +223,11 @@ class Channel(ABC):
             raise ValueError("a frame cannot have a negative length")
 
     @abstractmethod
-    def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
+    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
         """Send ``frame`` and fill ``reader``, full duplex.
 
         Args:
-            frame: The header and the payload as byte views.
+            frame: The header and the payload, as bytes and byte views.
             reader: Where to put what comes.
             deadline: ``time.monotonic()`` by when both must be done.
 

@@ -31,8 +31,6 @@ import numpy.typing as npt
 from spdz.foundations.errors import (
     ChannelTimeout,
     MacCheckFailed,
-    OutOfStep,
-    PeerAborted,
     ProtocolViolation,
     TapeError,
     TapeExhausted,
@@ -47,10 +45,9 @@ VERSION = 1
 MAX_FRAME = 256 << 20
 MAX_CONTROL = 64 << 10
 
-_HEADER = struct.Struct("<4B3I")
-HEADER_BYTES = _HEADER.size  # 16: a payload of 8-byte words behind it stays aligned
+HEADER = struct.Struct("<4B3I")
+HEADER_BYTES = HEADER.size  # 16: a payload of 8-byte words behind it stays aligned
 _MERGE_BELOW = 64 << 10  # buffers below this are copied together: a copy is cheaper than a system call
-_TLS_HANDSHAKE = 0x16  # first byte of a TLS ClientHello (RFC 8446, 5.1)
 
 
 class FrameKind(IntEnum):
@@ -110,7 +107,7 @@ def abort_reason(error: BaseException) -> AbortReason:
     return next((reason for kind, reason in _REASONS if isinstance(error, kind)), AbortReason.LOCAL_ERROR)
 
 
-_SENTENCES = {
+SENTENCES = {
     AbortReason.MAC_CHECK_FAILED: "its MAC check failed; it output nothing and destroyed its tape",
     AbortReason.PROTOCOL_VIOLATION: "it received something that no honest peer sends",
     AbortReason.TAPE_MISMATCH: "the two tapes, or tape and program, do not belong together",
@@ -124,15 +121,13 @@ _SENTENCES = {
     AbortReason.REPLACED: "a newer call of the same robot about the same topic took the place of this one",
 }
 
-_PASSING = frozenset(
-    {AbortReason.TIMEOUT, AbortReason.STOPPED, AbortReason.LOCAL_ERROR, AbortReason.REPLACED}
-)
+PASSING = frozenset({AbortReason.TIMEOUT, AbortReason.STOPPED, AbortReason.LOCAL_ERROR, AbortReason.REPLACED})
 """Reasons after which the peer may be back."""
 
 
 def pack_header(kind: int, dtype: int, session: int, round_: int, length: int) -> bytes:
     """The 16 bytes in front of a payload of ``length`` bytes."""
-    return _HEADER.pack(VERSION, kind, dtype, 0, session, round_, length)
+    return HEADER.pack(VERSION, kind, dtype, 0, session, round_, length)
 
 
 def pack_abort(reason: AbortReason, session: int, round_: int) -> bytes:
@@ -140,14 +135,18 @@ def pack_abort(reason: AbortReason, session: int, round_: int) -> bytes:
     return pack_header(FrameKind.ABORT, DType.BYTES, session, round_, 1) + bytes([reason])
 
 
-def byte_views(payload: Payload) -> list[memoryview]:
+def byte_views(payload: Payload) -> list[Buffer]:
     """The buffers of a payload as flat bytes, without copying; empty ones are left out.
 
     Raises:
         ValueError: if a buffer is not C-contiguous or has no plain element type.
     """
-    views = []
+    views: list[Buffer] = []
     for buffer in payload:
+        if type(buffer) is bytes:
+            if buffer:
+                views.append(buffer)
+            continue
         view = memoryview(buffer)  # type: ignore[arg-type]  # ndarray
         if view.nbytes == 0:
             continue
@@ -162,11 +161,13 @@ def byte_views(payload: Payload) -> list[memoryview]:
     return views
 
 
-def merge_small(views: Sequence[Buffer]) -> Iterator[memoryview]:
+def merge_small(views: Sequence[Buffer]) -> list[memoryview]:
     """The same bytes in few pieces: runs of small views are copied together, large ones are not copied."""
-    if sum(map(len, views)) <= _MERGE_BELOW:  # most frames
-        yield memoryview(b"".join(views))
-        return
+    joined = sum(map(len, views)) <= _MERGE_BELOW  # most frames
+    return [memoryview(b"".join(views))] if joined else list(_merged(views))
+
+
+def _merged(views: Sequence[Buffer]) -> Iterator[memoryview]:
     run: list[Buffer] = []
     run_bytes = 0
     for view in views:
@@ -180,137 +181,3 @@ def merge_small(views: Sequence[Buffer]) -> Iterator[memoryview]:
             run_bytes += len(view)
     if run:
         yield memoryview(b"".join(run))
-
-
-class FrameReader:
-    """Assembles the one frame that may come next from pieces of any size.
-
-    The owner writes received bytes into ``space`` and reports their number to :meth:`advance`, until
-    ``complete``.
-
-    Args:
-        kind: The kind expected.
-        dtype: The payload's dtype expected.
-        session: The session tag expected.
-        round_: The round expected.
-        expect: The payload length expected, or None for any length up to ``limit``.
-        limit: The cap for ``expect is None``.
-
-    Attributes:
-        space: Where the next bytes belong.
-        complete: Whether the frame is there.
-        received: Bytes so far, header included.
-    """
-
-    __slots__ = (
-        "_buffer",
-        "_checked",
-        "_end",
-        "_expect",
-        "_expected",
-        "_is_abort",
-        "_limit",
-        "complete",
-        "received",
-        "space",
-    )
-
-    def __init__(
-        self, kind: FrameKind, dtype: DType, session: int, round_: int, expect: int | None, limit: int
-    ) -> None:
-        self._expected = (kind, dtype, session, round_)
-        self._expect = expect
-        self._limit = limit
-        self._end = HEADER_BYTES + (expect or 0)
-        self._buffer = bytearray(self._end)
-        self._checked = self._is_abort = self.complete = False
-        self.received = 0
-        self.space = memoryview(self._buffer)
-
-    def advance(self, count: int) -> None:
-        """Note that ``count`` more bytes have been written into ``space``.
-
-        Raises:
-            ProtocolViolation: if the header is not the expected one.
-            PeerAborted: if the frame is a whole ABORT frame.
-        """
-        self.received += count
-        if not self._checked and self.received >= HEADER_BYTES:
-            self._check_header()
-            self._checked = True
-        if self.received < self._end or not self._checked:
-            self.space = memoryview(self._buffer)[self.received : self._end]
-            return
-        if self._is_abort:
-            raise self._abort_error(self._buffer[HEADER_BYTES])
-        self.complete = True
-
-    def payload(self) -> memoryview:
-        """The payload, writable and nobody else's."""
-        return memoryview(self._buffer)[HEADER_BYTES:]
-
-    def progress(self) -> str:
-        """How much of the frame came, for an error message."""
-        known = self._checked or self._expect is not None
-        return f"{self.received} of {self._end if known else f'at least {HEADER_BYTES}'} bytes received"
-
-    def _check_header(self) -> None:
-        kind, dtype, session, round_ = self._expected
-        version, got_kind, got_dtype, reserved, got_session, got_round, length = _HEADER.unpack_from(
-            self._buffer
-        )
-        if version != VERSION:
-            hint = " (the peer seems to speak TLS, this side does not)" if version == _TLS_HANDSHAKE else ""
-            raise _violation("frame version", VERSION, f"{version}{hint}")
-        if reserved != 0:
-            raise _violation("reserved byte", 0, reserved)
-        if got_kind == FrameKind.ABORT:
-            if length != 1:
-                raise _violation("length of an ABORT frame", 1, length)
-            self._is_abort = True
-            self._resize(1)
-            return
-        if {got_kind, kind} == {FrameKind.DATA, FrameKind.CONTROL}:
-            raise OutOfStep(
-                f"the peer is at another step: this side expects a {kind.name} frame, the peer sent "
-                f"{_name(FrameKind, got_kind)}; both robots must make the same calls, with the same program "
-                "and threshold, in the same order"
-            )
-        if got_kind != kind:
-            raise _violation("frame kind", kind.name, _name(FrameKind, got_kind))
-        if got_session != session:
-            raise _violation("session tag", f"{session:08x}", f"{got_session:08x}")
-        if got_round != round_:
-            raise _violation("round", round_, got_round)
-        if got_dtype != dtype:
-            raise _violation("payload dtype", dtype.name, _name(DType, got_dtype))
-        if self._expect is None:
-            if length > self._limit:
-                raise _violation("payload length", f"at most {self._limit} bytes", f"{length} bytes")
-            self._resize(length)
-        elif length != self._expect:
-            raise _violation("payload length", f"{self._expect} bytes", f"{length} bytes")
-
-    def _resize(self, length: int) -> None:
-        """Expect ``length`` payload bytes from here on, keeping what came."""
-        self._end = HEADER_BYTES + length
-        if len(self._buffer) < self._end:
-            buffer = bytearray(self._end)
-            buffer[: self.received] = self._buffer[: self.received]
-            self._buffer = buffer
-
-    @staticmethod
-    def _abort_error(reason: int) -> Exception:
-        try:
-            why = AbortReason(reason)
-            return PeerAborted(f"the peer stopped because {_SENTENCES[why]}", passing=why in _PASSING)
-        except ValueError:
-            return _violation("abort reason", f"1 to {max(AbortReason)}", reason)
-
-
-def _violation(what: str, expected: object, got: object) -> ProtocolViolation:
-    return ProtocolViolation(f"{what}: expected {expected}, the peer sent {got}")
-
-
-def _name(enum: type[IntEnum], code: int) -> str:
-    return enum(code).name if code in enum.__members__.values() else f"unknown code {code}"

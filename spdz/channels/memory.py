@@ -7,8 +7,10 @@ import time
 from queue import Empty, SimpleQueue
 
 from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
-from spdz.channels.frames import MAX_FRAME, FrameReader
+from spdz.channels.frame_reader import FrameReader
+from spdz.channels.frames import MAX_FRAME
 from spdz.foundations.errors import ChannelClosed
+from spdz.foundations.types import Buffer
 
 Pipe = SimpleQueue[bytes | None]
 """Pieces of a byte stream, of any size; None is its end."""
@@ -27,7 +29,7 @@ class MemoryChannel(Channel):
         self._outgoing = outgoing
         self._leftover = memoryview(b"")
 
-    def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
+    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
         self._outgoing.put(b"".join(frame))
         while not reader.complete:
             if not self._leftover:

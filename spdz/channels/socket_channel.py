@@ -6,9 +6,11 @@ import select
 import time
 
 from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
-from spdz.channels.frames import MAX_FRAME, FrameReader, merge_small
+from spdz.channels.frame_reader import FrameReader
+from spdz.channels.frames import MAX_FRAME, merge_small
 from spdz.channels.stream import Stream, describe, is_about_a_certificate
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
+from spdz.foundations.types import Buffer
 
 _SLICE = 256 << 10  # bytes offered to one send, so that both directions take turns
 _SPINS = 100
@@ -28,34 +30,47 @@ class SocketChannel(Channel):
     def __init__(self, stream: Stream, timeout: float = DEFAULT_TIMEOUT, max_frame: int = MAX_FRAME) -> None:
         super().__init__(timeout, max_frame)
         self._stream = stream
-        self._poll = select.poll()
+        self._poll, self._incoming = select.poll(), select.poll()
+        self._incoming.register(stream, select.POLLIN)
         self._in_frame = False  # whether part of a frame may be out
         self._send_error: OSError | None = None
         self._ahead = b""  # the byte that was waited for
 
-    def _swap(self, frame: list[memoryview], reader: FrameReader, deadline: float) -> None:
-        pieces = list(merge_small(frame))[::-1]
+    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
+        pieces = merge_small(frame)
+        pieces.reverse()
         stream = self._stream
+        ready = stream.reads_ahead
         self._in_frame = True
         if self._ahead:
             reader.space[:1], self._ahead = self._ahead, b""
             reader.advance(1)
         sends = receives = True
         while True:
-            # Read before polling: a TLS stream may hold bytes that poll does not see.
             more = sends and self._send_some(pieces)
-            more |= receives and self._receive_some(reader)
+            more |= receives and ready and self._receive_some(reader)
             sends = self._send_error is None and (bool(pieces) or stream.backlog)
             receives = not reader.complete
             if not (sends or receives):
                 break
             seconds = remaining(deadline, reader, self._timeout)
             if not more:
-                self._poll.register(stream, sends * select.POLLOUT | receives * select.POLLIN)
-                if not any(self._poll.poll(0) for _ in range(_SPINS)):
-                    self._poll.poll(seconds * 1000)
+                self._wait(sends, receives, seconds)
+                ready = True
         if self._send_error is not None:
             raise lost(self._send_error, reader.progress())
+
+    def _wait(self, sends: bool, receives: bool, seconds: float) -> None:
+        """Wait until the socket takes bytes or has some."""
+        poll = self._incoming
+        if sends:
+            poll = self._poll
+            poll.register(self._stream, select.POLLOUT | receives * select.POLLIN)
+        look = poll.poll
+        for _ in range(_SPINS):
+            if look(0):
+                return
+        look(seconds * 1000)
 
     def _await(self, deadline: float, wake: int | None) -> bool:
         stream, first, poll = self._stream, memoryview(bytearray(1)), select.poll()
@@ -88,7 +103,7 @@ class SocketChannel(Channel):
                 self._stream.flush()
                 return False
             piece = pieces[-1]
-            sent = self._stream.send(piece[:_SLICE])
+            sent = self._stream.send(piece if len(piece) <= _SLICE else piece[:_SLICE])
         except OSError as error:  # the peer is gone, but may have said why: go on reading
             self._send_error = error
             pieces.clear()

@@ -27,6 +27,9 @@ class Stream(ABC):
         sock: A connected socket.
     """
 
+    reads_ahead: bool
+    """Whether it may hold bytes that came, and that poll does not see any more."""
+
     def __init__(self, sock: socket.socket) -> None:
         sock.setblocking(False)
         self._socket = sock
@@ -114,6 +117,7 @@ class PlainStream(Stream):
     """TCP as it is."""
 
     backlog = False
+    reads_ahead = False
 
     def send(self, data: memoryview) -> int:
         """Take bytes to send; see :class:`Stream`."""

@@ -65,6 +65,8 @@ class TlsStream(Stream):
             waits_for = select.POLLIN
         return waits_for if self.flush() else waits_for | select.POLLOUT
 
+    reads_ahead = True
+
     @property
     def backlog(self) -> bool:
         """Whether encrypted bytes wait for :meth:`flush`."""

@@ -69,7 +69,7 @@ class Decision(Gate):
         if party.has_unchecked_openings:
             await check()
         shares, deltas = (np.concatenate(blocks) for blocks in zip(*keyed, strict=True))
-        opened = await party.open_bits(shares, deltas)
+        opened = await party.open_bits(shares, deltas, len(shares))
         if party.malicious:
             await check()
         results, start = [], 0

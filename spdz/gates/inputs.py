@@ -15,15 +15,11 @@ from math import prod
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.fixed_point import FRACTION_BITS
-from spdz.foundations.errors import ProtocolViolation
-from spdz.foundations.types import Buffer
 from spdz.rounds.coroutine import exchange
-from spdz.rounds.wire import NOT_CANONICAL, to_bytes
+from spdz.rounds.wire import to_bytes
 from spdz.values import input_mask
 from spdz.values.engine import ClearText, Evaluation, Gate, Input, Recipe
 from spdz.values.value import Value
@@ -41,15 +37,16 @@ class MaskedInput(Gate):
 
     async def evaluate(self, party: Evaluation, *inputs: Input) -> list[Value]:
         """Send x - r for the own inputs, receive the peer's."""
+        ring = party.ring
         drawn = [(source, party.input_mask(source), party.input_mask_bits(source)) for source in inputs]
         sent: dict[int, Any] = {
-            i: input_mask.hide(source.data, mask, bits, source.norm)
+            i: ring.hidden(source.data, mask, bits, source.norm)
             for i, (source, (mask, _), bits) in enumerate(drawn)
             if source.data is not None and mask is not None
         }
         sizes = [prod(source.shape) * input_mask.element_bytes(bits) for source, _, bits in drawn]
         reply = await exchange(
-            [_encoded(words, drawn[i][2]) for i, words in sent.items()],
+            [ring.encoded_words(words, drawn[i][2]) for i, words in sent.items()],
             sum(size for i, size in enumerate(sizes) if i not in sent),
             sum(prod(inputs[i].shape) for i in sent),
         )
@@ -58,9 +55,10 @@ class MaskedInput(Gate):
             if i in sent:
                 words = sent[i]
             else:
-                words = _decoded(reply[start : start + sizes[i]], source, bits)
+                raw = reply[start : start + sizes[i]]
+                words = ring.decoded_words(raw, source.shape, bits, source.norm)
                 start += sizes[i]
-            eps = words if bits == input_mask.LONG else input_mask.as_elements(words)
+            eps = ring.word_elements(words, bits)
             value = Value(
                 party,
                 (eps, mask, mac) if party.malicious else (eps, mask),
@@ -94,18 +92,3 @@ class MaskedInput(Gate):
             bound = Bound.of_norm(source.norm)
             values.append(Value(engine, (raw,), source.shape, FRACTION_BITS, bound, masked=True))
         return values
-
-
-def _encoded(words: npt.NDArray[Any], bits: int) -> Buffer:
-    """What the owner sends: elements, or words."""
-    return to_bytes(words if bits == input_mask.LONG else input_mask.pack(words, bits))
-
-
-def _decoded(raw: Buffer, source: Input, bits: int) -> npt.NDArray[Any]:
-    """What the peer sent."""
-    if bits != input_mask.LONG:
-        return input_mask.unpack(raw, source.shape, bits, source.norm)
-    elements = np.frombuffer(raw, dtype=np.uint64).reshape((*source.shape, 2))
-    if not field.is_canonical(elements):
-        raise ProtocolViolation(NOT_CANONICAL)
-    return elements

@@ -66,7 +66,7 @@ class Inside(Gate):
         if party.malicious:
             await check()
         shares, delta = restored(shares, key.order), restored(key.spread_delta, key.order)
-        opened = await party.open_bits(shares, delta)
+        opened = await party.open_bits(shares, delta, prod(z.shape))
         if party.malicious:
             await check()
         return opened.reshape(z.shape)

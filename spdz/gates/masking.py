@@ -18,12 +18,11 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
-import numpy.typing as npt
 
 from spdz.arithmetic import field
+from spdz.arithmetic.bits import is_below
 from spdz.arithmetic.bound import NOTHING, Bound
 from spdz.arithmetic.field import P
-from spdz.foundations.errors import Wrapped
 from spdz.foundations.types import FieldArray
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.values.refusals import expect_secret
@@ -63,31 +62,13 @@ def dealt_integer_mask(r: FieldArray, bits: int) -> FieldArray:
     rho = integer_mask(r, bits)
     # p - rho is the complement of 127 bits.
     room = rho ^ np.array([(1 << 64) - 1, (1 << 63) - 1], dtype=np.uint64)
-    wraps = _below(room, bits)
+    wraps = is_below(room, bits)
     if np.count_nonzero(wraps) > (wraps.size > 1) or not r.any(axis=-1).all():
         raise ValueError(
             "a comparison or truncation is asked for where masks cancel (something was subtracted from "
             "itself or multiplied by 0): mask the value anew, `await spdz.mask(z, fresh=True)`"
         )
     return rho
-
-
-def _below(numbers: FieldArray, bits: int) -> npt.NDArray[np.bool_]:
-    """Which elements are below ``2^bits``, as integers."""
-    word, offset = divmod(bits, 64)
-    above = numbers[..., word] >> np.uint64(offset)
-    if word == 0:
-        above = above | numbers[..., 1]
-    return np.asarray(above == 0)
-
-
-def _refuse_wrapped(c: FieldArray, bits: int, mask_bits: int) -> None:
-    """Give up a c that may have wrapped: whatever its mask, it is then below 2^bits."""
-    if _below(c, bits).any():
-        raise Wrapped(
-            f"an opened number may have wrapped behind its mask, which happens once in 2^{mask_bits - bits} "
-            "times: nothing was output; run the next job"
-        )
 
 
 def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
@@ -124,7 +105,7 @@ def in_place(z: Value, bound: int | None = None) -> tuple[Value, int]:
             "mask the value anew"
         )
     if isinstance(z.engine, Evaluation):
-        _refuse_wrapped(z.parts[0], bits, z.mask_bits)
+        z.engine.ring.refuse_wrapped(z.parts[0], bits, z.mask_bits)
     return z, bits
 
 

@@ -24,9 +24,9 @@ import numpy as np
 
 from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.element import Element
 from spdz.arithmetic.public import limit
 from spdz.foundations.types import FieldArray, Shape
-from spdz.gates.element import Element, pack, times, total, unpack
 from spdz.gates.masking import tightened
 from spdz.gates.product import NOT_MASKED
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
@@ -80,7 +80,9 @@ class Monomial(Gate):
         for subset in _subsets(len(factors)):
             count = (KIND, prod(shape)) if len(subset) == len(factors) else None
             shares[subset] = party.authenticated(_shape([factors[i] for i in subset]), count=count)
-        eps = [unpack(factor.parts[0]) for factor in factors]
+        ring = party.ring
+        times, total, unpacked = ring.times, ring.total, ring.unpacked
+        eps = [unpacked(factor.parts[0]) for factor in factors]
         # What the largest c multiplies is summed first: arrays are multiplied as seldom as possible.
         big = max(everything, key=lambda i: prod(factors[i].shape))
         inside: list[list[Element]] = [[] for _ in range(width)]
@@ -89,15 +91,15 @@ class Monomial(Gate):
             others = [eps[i] for i in everything if i not in subset and i != big]
             for j, part in enumerate(parts[:width]):
                 if part is not None:
-                    term = times(reduce(times, others), unpack(part)) if others else unpack(part)
+                    term = times(reduce(times, others), unpacked(part)) if others else unpacked(part)
                     (outside if big in subset else inside)[j].append(term)
         sums = [
             total([*alone, times(eps[big], total(common))])
             for alone, common in zip(outside, inside, strict=True)
         ]
-        result = Value(party, tuple(pack(one, shape) for one in sums), shape, frac, bound)
+        result = Value(party, tuple(ring.packed(one, shape) for one in sums), shape, frac, bound)
         public = reduce(times, [eps[i] for i in everything if i != big])
-        return party.plus_public(result, pack(times(eps[big], public), shape))
+        return party.plus_public(result, ring.packed(times(eps[big], public), shape))
 
     def clear(self, engine: ClearText, *factors: Value) -> Value:
         """The product itself."""

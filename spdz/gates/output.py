@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from spdz.arithmetic import field
-from spdz.arithmetic.fixed_point import decode
-from spdz.foundations.errors import ProtocolViolation, TapeMismatch
+from spdz.foundations.errors import TapeMismatch
 from spdz.gates import signs
 from spdz.rounds.coroutine import check
 from spdz.values.engine import ClearText, Engine, Evaluation, Gate, Recipe
+from spdz.values.party_ring import decoded
 from spdz.values.value import Value
 
 
@@ -56,27 +55,18 @@ class Output(Gate):
         if party.has_unchecked_openings:
             await check()
         if keyed is not None:
-            bits = (await party.open_bits(*keyed)).reshape(z.shape)
+            bits = await party.open_bits(*keyed, prod(z.shape))
         else:
             (opened,) = await party.open(party.shared(z))
         if party.malicious:
             await check()
         if keyed is not None:
-            return bits if z.shape else bool(bits)
-        return _decode(field.centered(opened), z)
+            return party.ring.opened_bits(bits, z.shape)
+        return party.ring.opened(opened, z.frac, is_bit=z.is_bit)
 
     async def clear(self, engine: ClearText, z: Value) -> Any:
         """Decode the integers."""
-        return _decode(z.parts[0], z)
-
-
-def _decode(raw: Any, z: Value) -> Any:
-    integers = np.asarray(raw, dtype=object)
-    if not z.is_bit:
-        return decode(integers if integers.ndim else integers.item(), z.frac)
-    if not all(bit in (0, 1) for bit in integers.flat):
-        raise ProtocolViolation("an opened bit is neither 0 nor 1: the peer's input was out of range")
-    return integers.astype(np.bool_) if integers.ndim else bool(integers.item())
+        return decoded(np.asarray(z.parts[0], dtype=object), z.frac, is_bit=z.is_bit)
 
 
 async def output(engine: Engine, z: Value) -> Any:

@@ -21,16 +21,18 @@ peer can cause) the result is some function of z.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from math import prod
 
 import numpy as np
 import numpy.typing as npt
 
 from spdz.arithmetic import field, inner_product
+from spdz.arithmetic.bits import low_bits
+from spdz.dcf import Keys
 from spdz.foundations.types import FieldArray
 from spdz.gates.masking import dealt_integer_mask, in_place, integer_mask
 from spdz.gates.pieces import HALF, Pieces
-from spdz.gates.truncation import low_bits
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.values.value import Value
 
@@ -79,13 +81,9 @@ class Piecewise(Gate):
         width = pieces.width
         half = party.authenticated((*shape, width), count=(KIND, prod(shape)))
         keys = party.comparison_key(shape, bits - 1, width)
-        eps, shares = z.parts[0], len(z.parts) - 1
-        n = prod(shape)
-        points = _minus(eps.reshape(n, 1, 2), pieces.words)
-        outputs = keys.evaluate(low_bits(points, bits - 1))
-        halves = np.concatenate([h.reshape(n, 1, width, 2) for h in half if h is not None], axis=2)
-        signed = _signed(_top_bit(points, bits)[..., None], field.sub(outputs, halves))
-        sums = _weighted(pieces, signed).reshape((len(pieces.jumps), shares, width, *shape, 2))
+        shares = len(z.parts) - 1
+        sums_shape = (len(pieces.jumps), shares, width, *shape)
+        sums = party.ring.call(_sums, sums_shape, pieces, bits, z.parts[0], keys, *half[:shares])
         return [self._value(party, z, i, sums) for i in range(len(pieces.functions))]
 
     def _value(self, party: Evaluation, z: Value, i: int, sums: FieldArray) -> Value:
@@ -95,21 +93,23 @@ class Piecewise(Gate):
             self.pieces.rows[i],
             self.pieces.public[i],
         )
-        eps, totals = z.parts[0], []
+        ring, eps, totals = party.ring, z.parts[0], []
+
+        def part(*key: int) -> FieldArray:
+            chosen: FieldArray = ring.index(sums, (*key, ...))
+            return chosen
+
         for j, r in enumerate(z.parts[1:]):
-            terms = [] if r is None or not slope else [field.scale(r, slope)]
+            terms = [] if r is None or not slope else [ring.scale(r, slope)]
             if jump is not None:
-                terms.append(sums[jump, j, 0])
+                terms.append(part(jump, j, 0))
             if slope_jump is not None:
-                terms += [field.mul(eps, sums[slope_jump, j, 0]), sums[slope_jump, j, 1]]
-            total = terms[0] if terms else field.zeros(z.shape)
-            for term in terms[1:]:
-                total = field.add(total, term)
-            totals.append(total)
+                terms += [ring.product(eps, part(slope_jump, j, 0)), part(slope_jump, j, 1)]
+            totals.append(reduce(ring.add, terms) if terms else ring.zeros(z.shape))
         result = Value(party, tuple(totals), z.shape, *f.form(z.shape), is_bit=f.is_bit)
         if slope:
-            result = party.plus_public(result, field.scale(eps, slope))
-        return party.plus_public(result, field.from_int(constant)) if constant else result
+            result = party.plus_public(result, ring.scale(eps, slope))
+        return party.plus_public(result, ring.constant(constant)) if constant else result
 
     def clear(self, engine: ClearText, z: Value) -> list[Value]:
         """Look up the piece."""
@@ -120,6 +120,17 @@ class Piecewise(Gate):
             engine.value(constants[piece] + slopes[piece] * raw, *f.form(z.shape), is_bit=f.is_bit)
             for f, (constants, slopes) in zip(self.pieces.functions, functions, strict=True)
         ]
+
+
+def _sums(pieces: Pieces, bits: int, eps: FieldArray, keys: Keys, *halves: FieldArray) -> FieldArray:
+    """Steps 1 and 2: the weighted sums over the thresholds, shape (jumps, shares, width) + S."""
+    n, shape, width = prod(eps.shape[:-1]), eps.shape, pieces.width
+    points = _minus(eps.reshape(n, 1, 2), pieces.words)
+    outputs = keys.evaluate(low_bits(points, bits - 1))
+    half = np.concatenate([h.reshape(n, 1, width, 2) for h in halves], axis=2)
+    signed = _signed(_top_bit(points, bits)[..., None], field.sub(outputs, half))
+    sums: FieldArray = _weighted(pieces, signed).reshape((len(pieces.jumps), len(halves), width, *shape))
+    return sums
 
 
 def _weighted(pieces: Pieces, signed: FieldArray) -> FieldArray:

@@ -14,19 +14,20 @@ local and under MAC.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from math import comb, prod
 
 import numpy as np
 
 from spdz.arithmetic import field
 from spdz.arithmetic.bound import Bound
+from spdz.arithmetic.element import Element
 from spdz.foundations.types import FieldArray
-from spdz.gates.element import Element, pack, plus, times, total
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
+from spdz.values.party_ring import PartyRing
 from spdz.values.value import Value
 
 KIND = "polynomial"
-_FEW = 32  # entries up to which Python integers are faster than array kernels (measured)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,37 +63,33 @@ class Polynomial(Gate):
         return w.frac + self.frac, Bound.of_entry(self.entry, w.shape)
 
     def evaluate(self, party: Evaluation, w: Value, y: Value) -> Value:
-        """The sum of the module's docstring, for few entries one after the other."""
-        shape, width = y.shape, len(y.parts) - 1
+        """The sum of the module's docstring."""
+        ring, shape, width = party.ring, y.shape, len(y.parts) - 1
         dealt = party.authenticated((*shape, 2 * self._degree - 1), count=(KIND, prod(shape)))
-        nothing = field.zeros(shape)  # the share of an input's mask at the peer
+        nothing = ring.zeros(shape)  # the share of an input's mask at the peer
         columns = [nothing if part is None else part for part in (*w.parts, *y.parts)]
-        columns += [row for share in dealt[:width] if share is not None for row in np.moveaxis(share, -2, 0)]
-        if 0 < prod(shape) <= _FEW:
-            entries = zip(*(field.to_list(column) for column in columns), strict=True)
-            results = [self._entry(width, *entry) for entry in entries]
-            packed = [field.from_ints(numbers).reshape((*shape, 2)) for numbers in zip(*results, strict=True)]
-        else:
-            packed = [pack(result, shape) for result in self._entry(width, *columns)]
-        public, *shares = packed
+        for share in dealt[:width]:
+            columns += [ring.index(share, (..., k)) for k in range(2 * self._degree - 1)]
+        entry = partial(self._entry, ring, width)
+        public, *shares = ring.entry_by_entry(entry, columns, shape)
         return party.plus_public(Value(party, tuple(shares), shape, *self._form(w)), public)
 
-    def _entry(self, width: int, *columns: Element) -> list[Element]:
+    def _entry(self, ring: PartyRing, width: int, *columns: Element) -> list[Element]:
         """The part of w p(y) outside the masks, and this party's shares of the rest.
 
         The columns are d and l's shares, c and r's shares, then r^2 .. r^n and l r .. l r^n for each share.
         """
         n = self._degree
         (d, *of_w), (c, *of_y) = columns[: width + 1], columns[width + 1 : 2 * width + 2]
-        taylor = _taylor(self.coefficients, c)
-        scaled = [times(row, d) for row in taylor]
+        taylor = _taylor(ring, self.coefficients, c)
+        scaled = [ring.times(row, d) for row in taylor]
         results = [scaled[0]]
         for j in range(width):
             start = 2 * width + 2 + j * (2 * n - 1)
             powers, products = columns[start : start + n - 1], columns[start + n - 1 : start + 2 * n - 1]
             # r .. r^n for w's public part; l .. l r^n for its mask.
             pairs = zip([*scaled[1:], *taylor], [of_y[j], *powers, of_w[j], *products], strict=True)
-            results.append(total([times(weight, share) for weight, share in pairs]))
+            results.append(ring.total([ring.times(weight, share) for weight, share in pairs]))
         return results
 
     def clear(self, engine: ClearText, w: Value, y: Value) -> Value:
@@ -104,14 +101,14 @@ class Polynomial(Gate):
         return engine.value(total * np.asarray(w.parts[0]).astype(object), *self._form(w))
 
 
-def _taylor(coefficients: tuple[int, ...], c: Element) -> list[Element]:
+def _taylor(ring: PartyRing, coefficients: tuple[int, ...], c: Element) -> list[Element]:
     """``p^(j)(c) / j!`` for j = 0 .. n, by Horner's rule."""
     n = len(coefficients) - 1
     rows = []
     for j in range(n + 1):
         row: Element = comb(n, j) * coefficients[n]
         for k in range(n - 1, j - 1, -1):
-            row = plus(times(row, c), comb(k, j) * coefficients[k])
+            row = ring.total([ring.times(row, c), comb(k, j) * coefficients[k]])
         rows.append(row)
     return rows
 

@@ -25,6 +25,7 @@ from spdz.foundations.types import BigIntArray, FieldArray, Shape
 from spdz.gates.outer import dealt_products, product_shares, standing_pairs
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe, Share
 from spdz.values.outer import OuterMac
+from spdz.values.party_ring import PartyRing
 from spdz.values.refusals import expect_secret
 from spdz.values.standing import Standing
 from spdz.values.value import Value
@@ -32,15 +33,14 @@ from spdz.values.value import Value
 
 @dataclass(frozen=True, slots=True)
 class Contraction:
-    """A bilinear map on field arrays, on integers, and on shapes."""
+    """A bilinear map on field arrays, by a party's ring, on integers, and on shapes."""
 
     kind: str
     product: Callable[[Any, Any], FieldArray]
+    by: Callable[[PartyRing], Callable[[Any, Any], FieldArray]]
     clear_product: Callable[[Any, Any], BigIntArray]
     shape: Callable[[Shape, Shape], Shape]
     bound: Callable[[Bound, Bound, Shape], Bound]
-    prepare: Callable[[FieldArray], Any] = lambda a: a
-    small_product: Callable[[Any, Any], FieldArray] | None = None
 
 
 def _dot_shape(x: Shape, y: Shape) -> Shape:
@@ -66,15 +66,15 @@ def _clear_dot(x: BigIntArray, y: BigIntArray) -> BigIntArray:
 DOT = Contraction(
     "dot product",
     inner_product.dot,
+    lambda ring: ring.dot,
     _clear_dot,
     _dot_shape,
     Bound.dot,
-    prepare=inner_product.prepare,
-    small_product=inner_product.small_dot,
 )
 ELEMENTWISE = Contraction(
     "product",
     field.mul,
+    lambda ring: ring.product,
     lambda x, y: np.asarray(x.astype(object) * y),
     np.broadcast_shapes,
     Bound.product,
@@ -83,45 +83,48 @@ ELEMENTWISE = Contraction(
 
 def masked_product(party: Evaluation, by: Contraction, x: Value, y: Value, correction: Share) -> Share:
     """The formula of the module's docstring on one party's parts; returns its shares of the product."""
-    eps_x = by.prepare(x.parts[0])
-    eps_y = eps_x if x is y else by.prepare(y.parts[0])
+    ring, product = party.ring, by.by(party.ring)
+    eps_x, eps_y = x.parts[0], y.parts[0]
+    if by is DOT:
+        eps_x = ring.prepared(eps_x)
+        eps_y = eps_x if x is y else ring.prepared(eps_y)
 
     def cross(i: int) -> FieldArray | None:
         """``eps_x * y_i + eps_y * x_i`` for part i of both."""
         x_i, y_i = x.parts[i], y.parts[i]
         if x is y:
-            return None if x_i is None else field.scale(by.product(eps_x, x_i), 2)
-        left = None if y_i is None else by.product(eps_x, y_i)
-        right = None if x_i is None else by.product(eps_y, x_i)
-        return left if right is None else right if left is None else field.add(left, right)
+            return None if x_i is None else ring.scale(product(eps_x, x_i), 2)
+        left = None if y_i is None else product(eps_x, y_i)
+        right = None if x_i is None else product(eps_y, x_i)
+        return left if right is None else right if left is None else ring.add(left, right)
 
     # Where one operand is our own raw input and the other wholly the peer's, eps_peer * own is a product
     # with short integers, and it equals the cross term plus eps_x eps_y.
     short: FieldArray | None = None
-    if by.small_product is not None:
+    if by is DOT:
         if x.plain is not None and y.parts[1] is None:
-            short = by.small_product(x.plain, eps_y)
+            short = ring.short_dot(x.plain, eps_y)
         elif y.plain is not None and x.parts[1] is None:
-            short = by.small_product(y.plain, eps_x)
+            short = ring.short_dot(y.plain, eps_x)
     value, mac = correction
     if mac is None or party.alpha is None:
         if short is None or party.index == 1:
-            terms = [cross(1), by.product(eps_x, eps_y) if party.index == 0 else None]
+            terms = [cross(1), product(eps_x, eps_y) if party.index == 0 else None]
         else:
             terms = [short]
-        return _total(value, terms), None
-    public = by.product(eps_x, eps_y)
+        return _total(ring, value, terms), None
+    public = product(eps_x, eps_y)
     if short is None:
         terms = [cross(1), public if party.index == 0 else None]
     else:
-        terms = [short, field.neg(public) if party.index == 1 else None]
-    return _total(value, terms), _total(mac, [field.scale(public, party.alpha), cross(2)])
+        terms = [short, ring.neg(public) if party.index == 1 else None]
+    return _total(ring, value, terms), _total(ring, mac, [ring.scaled(public, party.alpha), cross(2)])
 
 
-def _total(start: FieldArray, terms: list[FieldArray | None]) -> FieldArray:
+def _total(ring: PartyRing, start: FieldArray, terms: list[FieldArray | None]) -> FieldArray:
     for term in terms:
         if term is not None:
-            start = field.add(start, term)
+            start = ring.add(start, term)
     return start
 
 

@@ -25,7 +25,7 @@ from spdz.dcf import signs
 from spdz.foundations.types import Block, FieldArray
 from spdz.gates.masking import dealt_integer_mask, in_place
 from spdz.values.engine import Engine, Evaluation, Recipe
-from spdz.values.trees import TreePads, arranged, restored
+from spdz.values.trees import TreeKey, TreePads, arranged, restored
 from spdz.values.value import Value
 
 KIND = "opened sign"
@@ -62,11 +62,20 @@ def evaluate(party: Evaluation, z: Value, kind: str = KIND) -> tuple[Block, Bloc
     """Step 1: S_i and Delta_i of every entry, shape (n, 2)."""
     z, bits, drop = _in_place(party, z)
     key = party.tree(kind, z.shape, signs.sign_levels(bits, drop), top=True)
+    ring = party.ring
+    return ring.call(_shares, None, key, z.parts[0], bits, drop), ring.call(_deltas, None, key)
+
+
+def _deltas(key: TreeKey) -> Block:
+    return restored(key.spread_delta, key.order)
+
+
+def _shares(key: TreeKey, c: FieldArray, bits: int, drop: int) -> Block:
     if key.top is None:
         raise ValueError("a sign has a block beside its tree")
-    c = arranged(z.parts[0], key.order)
-    shares = signs.evaluate_sign(c, bits, drop, key.delta, key.first, key.words, key.top, key.batches)
-    return restored(shares, key.order), restored(key.spread_delta, key.order)
+    points = arranged(c, key.order)
+    shares = signs.evaluate_sign(points, bits, drop, key.delta, key.first, key.words, key.top, key.batches)
+    return restored(shares, key.order)
 
 
 def _in_place(engine: Engine, z: Value) -> tuple[Value, int, int]:

@@ -24,8 +24,10 @@ from typing import Any
 import numpy as np
 
 from spdz.arithmetic import field
+from spdz.arithmetic.bits import low_bits, shifted
 from spdz.arithmetic.bound import Bound, root
 from spdz.arithmetic.public import fraction_bits
+from spdz.dcf import Keys
 from spdz.foundations.types import FieldArray
 from spdz.gates.masking import FULL, dealt_integer_mask, in_place, integer_mask, mask, signed_bits
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
@@ -33,28 +35,6 @@ from spdz.values.refusals import expect_secret
 from spdz.values.value import Value
 
 KIND, EXACT = "truncation", "exact truncation"
-
-
-def shifted(a: FieldArray, by: int) -> FieldArray:
-    """``a >> by`` on elements as integers."""
-    words, bits = divmod(by, 64)
-    result = np.zeros(a.shape, dtype=np.uint64)
-    low, high = a[..., 0], a[..., 1]
-    if words:
-        np.right_shift(high, np.uint64(bits), out=result[..., 0])
-        return result
-    if bits == 0:
-        return a
-    np.right_shift(low, np.uint64(bits), out=result[..., 0])
-    result[..., 0] |= high << np.uint64(64 - bits)
-    np.right_shift(high, np.uint64(bits), out=result[..., 1])
-    return result
-
-
-def low_bits(a: FieldArray, bits: int) -> FieldArray:
-    """The lowest ``bits`` bits of elements as integers."""
-    masks = [(1 << min(64, max(0, bits - 64 * word))) - 1 for word in (0, 1)]
-    return a & np.array(masks, dtype=np.uint64)
 
 
 def _in_place(z: Value, drop: int) -> tuple[Value, int]:
@@ -104,7 +84,7 @@ class Truncate(Gate):
         form, width = _mask_form(z, self.drop), len(z.parts) - 1
         z, _ = _in_place(z, self.drop)
         share = party.authenticated(z.shape, count=(KIND, prod(z.shape)))[:width]
-        parts, frac = (shifted(z.parts[0], self.drop), *share), z.frac - self.drop
+        parts, frac = (party.ring.shifted(z.parts[0], self.drop), *share), z.frac - self.drop
         return Value(party, parts, z.shape, frac, _bound(z, self.drop), masked=True, **form)
 
     def clear(self, engine: ClearText, z: Value) -> Value:
@@ -142,20 +122,23 @@ class TruncateExactly(Gate):
         shape, width = z.shape, len(z.parts) - 1
         shift = party.authenticated(shape, count=(EXACT, prod(shape)))
         keys = party.comparison_key(shape, drop, 1)
-        c = half.parts[0]
-        borrow = keys.evaluate(low_bits(c, drop).reshape(-1, 2))
-        parts = []
-        for j in range(width):
-            dealt = shift[j]
-            if dealt is not None:
-                parts.append(field.neg(field.add(dealt, borrow[:, j].reshape((*shape, 2)))))
-        result = Value(party, tuple(parts), shape, z.frac - drop, _bound(z, drop))
-        public = field.sub(shifted(c, drop), field.from_int(1 << (bits - 1 - drop)))
+        ring, c = party.ring, half.parts[0]
+        borrow = ring.call(_borrow, (width, *shape), keys, c, drop)
+        parts = tuple(ring.neg(ring.add(shift[j], ring.index(borrow, (j,)))) for j in range(width))
+        result = Value(party, parts, shape, z.frac - drop, _bound(z, drop))
+        public = ring.sub(ring.shifted(c, drop), ring.constant(1 << (bits - 1 - drop)))
         return party.plus_public(result, public)
 
     def clear(self, engine: ClearText, z: Value) -> Value:
         """Round to the nearest, ties up."""
         return engine.value(_rounded(z, self.drop), z.frac - self.drop, _bound(z, self.drop))
+
+
+def _borrow(keys: Keys, c: FieldArray, drop: int) -> FieldArray:
+    """Shares of ``[c mod 2^f < rho mod 2^f]`` and of its MAC, shape (width,) + S."""
+    shares = keys.evaluate(low_bits(c, drop).reshape(-1, 2)).swapaxes(0, 1)
+    borrow: FieldArray = shares.reshape((len(shares), *c.shape))
+    return borrow
 
 
 def _ones(shape: tuple[int, ...]) -> FieldArray:

@@ -19,24 +19,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spdz.arithmetic import field
 from spdz.arithmetic.public import Raw
-from spdz.arithmetic.rings import elements
 from spdz.dcf import Keys
-from spdz.foundations.errors import MacCheckFailed, ProtocolViolation
+from spdz.foundations.errors import MacCheckFailed
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import Block, FieldArray, Security, Shape
 from spdz.readings.streams import JobStream, RecordStream
 from spdz.rounds.coroutine import exchange
 from spdz.rounds.mac_check import MacCheck
-from spdz.rounds.wire import exchange_elements
-from spdz.values import input_mask
+from spdz.rounds.wire import ELEMENT_BYTES, element_bytes
 from spdz.values.engine import Evaluation, Gate, Input, Share, Triple
-from spdz.values.outer import OuterRing
+from spdz.values.party_ring import PartyRing
+from spdz.values.sign_shares import opened_signs, packed_signs, sign_macs
 from spdz.values.trees import TreeKey, of_party
 from spdz.values.value import Value
 
-_RING = OuterRing()
+_RING = PartyRing()
 
 
 class Party(Evaluation):
@@ -89,27 +87,27 @@ class Party(Evaluation):
 
     def plus(self, x: Value, raw: Raw) -> tuple[Any, ...]:
         """Add public integers: to eps of a masked value, else to party 0's share and to the MAC."""
-        number = elements(raw)
+        number = self.ring.constant(raw)
         if x.masked:
-            return field.add(x.parts[0], number), *x.parts[1:]
+            return self.ring.add(x.parts[0], number), *x.parts[1:]
         return self.plus_public(x, number).parts
 
     def remasked(self, x: Value, raw: int) -> tuple[Any, ...]:
         """Public numbers move from the share of r to eps."""
-        number = np.broadcast_to(field.from_int(raw), (*x.shape, 2))
-        eps, *shares = x.parts
+        ring, (eps, *shares) = self.ring, x.parts
+        number = ring.broadcast(ring.constant(raw), x.shape)
         share = Value(self, tuple(shares), x.shape, x.frac, x.bound)
-        return field.add(eps, number), *self.plus_public(share, field.neg(number)).parts
+        return ring.add(eps, number), *self.plus_public(share, ring.neg(number)).parts
 
     def plus_public(self, x: Value, public: FieldArray) -> Value:
         """Party 0 adds to its share; both to the MAC."""
-        value, *macs = x.parts
+        ring, (value, *macs) = self.ring, x.parts
         if self.index == 0:
-            value = public if value is None else field.add(value, public)
+            value = public if value is None else ring.add(value, public)
         elif value is None:
-            value = np.zeros_like(public)
+            value = ring.zeros(x.shape)
         if macs and self.alpha is not None:
-            macs = [self.ring.add(macs[0], field.scale(public, self.alpha))]
+            macs = [ring.add(macs[0], ring.scaled(public, self.alpha))]
         return Value(self, (value, *macs), x.shape, x.frac, x.bound, is_bit=x.is_bit)
 
     # -- what was dealt ------------------------------------------------------------------------------
@@ -121,7 +119,7 @@ class Party(Evaluation):
         mask = None
         if own:
             pad = self._stream.pad(source.shape)
-            mask = input_mask.from_pad(pad, self.input_mask_bits(source))
+            mask = self.ring.mask_of(pad, self.input_mask_bits(source))
         return mask, self._mac(source.shape, stored=own)
 
     def authenticated(
@@ -151,16 +149,7 @@ class Party(Evaluation):
     def tree(self, kind: str, shape: Shape, levels: int, *, top: bool) -> TreeKey:
         """Delta from the pad; ``first`` is party 1's pad, ``top`` party 0's, and the rest is stored."""
         self._stats.book(kind, prod(shape))
-        stream = self._stream
-        batches, order = stream.batches(shape)
-        delta = of_party(stream.delta(shape), self.index)
-        blocks = [stream.pad_rows(shape) if self.index == 1 else stream.correction_rows(shape, 1)[:, 0]]
-        if top:
-            blocks.append(
-                stream.pad_rows(shape) if self.index == 0 else stream.correction_rows(shape, 1)[:, 0]
-            )
-        words = stream.correction_rows(shape, levels - 1)
-        return TreeKey(delta, blocks[0], words, blocks[1] if top else None, batches, order)
+        return draw_tree(self._stream, self.index, shape, levels, top)
 
     def _mac(self, shape: Shape, *, stored: bool) -> FieldArray | None:
         if not self.malicious:
@@ -176,23 +165,41 @@ class Party(Evaluation):
     async def open(self, *values: Value) -> list[FieldArray]:
         """Exchange value shares; every opening is recorded for the next MAC check."""
         self._require_check()
+        ring, sizes = self.ring, [element_bytes(value.shape) for value in values]
         own = [value.parts[0] for value in values]
-        theirs = await exchange_elements(own, [value.shape for value in values])
-        opened = [field.add(a, b) for a, b in zip(own, theirs, strict=True)]
+        total = sum(sizes)
+        reply = await exchange([ring.encoded(part) for part in own], total, total // ELEMENT_BYTES)
+        opened, start = [], 0
+        for value, part, size in zip(values, own, sizes, strict=True):
+            opened.append(ring.add(part, ring.decoded(reply[start : start + size], value.shape)))
+            start += size
         if self._mac_check is not None:
             for value, number in zip(values, opened, strict=True):
                 self._mac_check.record(number, value.parts[1])
         return opened
 
-    async def open_bits(self, shares: Block, delta: Block) -> npt.NDArray[np.bool_]:
+    async def open_bits(self, shares: Block, delta: Block, n: int) -> npt.NDArray[np.bool_]:
         """Exchange the lowest bits, packed; the rest of every share is its MAC."""
         self._require_check()
-        n = len(shares)
-        own = np.packbits((shares[:, 0] & np.uint64(1)).astype(np.uint8), bitorder="little")
-        theirs = np.frombuffer(await exchange([own.data], len(own), 0), dtype=np.uint8)
-        both = np.unpackbits(own ^ theirs, bitorder="little")
-        if both[n:].any():
-            raise ProtocolViolation("the peer sent bits beyond the last one")
+        ring = self.ring
+        own = ring.call(packed_signs, None, shares)
+        reply = await exchange([own], (n + 7) // 8, 0)
+        bits: npt.NDArray[np.bool_] = ring.call(opened_signs, None, own, reply, n)
         if self._mac_check is not None:
-            self._mac_check.record_bits(shares ^ np.where(both[:n, None] != 0, delta, np.uint64(0)))
-        return both[:n].astype(np.bool_)
+            self._mac_check.record_bits(ring.call(sign_macs, None, shares, bits, delta))
+        return bits
+
+
+def draw_tree(stream: JobStream | RecordStream, index: int, shape: Shape, levels: int, top: bool) -> TreeKey:
+    """A party's half-tree keys: see :meth:`Party.tree`."""
+    batches, order = stream.batches(shape)
+    delta = of_party(stream.delta(shape), index)
+
+    def blocks(pad_at: int) -> Block:
+        """One block a key: a pad at one party, stored at the other."""
+        return stream.pad_rows(shape) if index == pad_at else stream.correction_rows(shape, 1)[:, 0]
+
+    first = blocks(1)
+    beside = blocks(0) if top else None
+    words = stream.correction_rows(shape, levels - 1)
+    return TreeKey(delta, first, words, beside, batches, order)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from fractions import Fraction
 from types import FunctionType
 from typing import Any, TypeVar
@@ -38,31 +38,51 @@ def unchanging(function: Formula) -> Formula:
     return function
 
 
+@dataclass(slots=True)
+class Known:
+    """A program of which nothing can change.
+
+    Attributes:
+        plan: The meter's.
+        runs: How often it was asked for.
+        code: What was made of it since (:mod:`spdz.compiled.programs`).
+    """
+
+    plan: Plan
+    runs: int = 0
+    code: Any = None
+
+
 class Plans:
     """Plans for one tape's shapes and security model, the latest used last."""
 
     def __init__(self, shapes: tuple[Shape, Shape], security: Security) -> None:
         self._shapes, self._security = shapes, security
-        self._kept: OrderedDict[Hashable, Plan] = OrderedDict()
-        self._last: tuple[Program | None, Plan | None] = None, None
+        self._kept: OrderedDict[Hashable, Known] = OrderedDict()
+        self._last: tuple[Program | None, Known | None] = None, None
 
     def __len__(self) -> int:
         return len(self._kept)
 
     def of(self, program: Program) -> Plan:
         """The meter's plan of a program."""
-        last, plan = self._last
-        if plan is not None and last is program:  # the same object, of which nothing can change
-            return plan
+        known = self.known(program)
+        return measure(program, self._shapes, self._security) if known is None else known.plan
+
+    def known(self, program: Program) -> Known | None:
+        """What is kept of a program; None where it can change."""
+        last, known = self._last
+        if known is not None and last is program:  # the same object, of which nothing can change
+            return known
         key = constants(program) if is_dataclass(program) else None
         if key is None:
-            return measure(program, self._shapes, self._security)
-        plan = self._kept.pop(key, None) or measure(program, self._shapes, self._security)
-        self._kept[key] = plan
+            return None
+        known = self._kept.pop(key, None) or Known(measure(program, self._shapes, self._security))
+        self._kept[key] = known
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
-        self._last = program, plan
-        return plan
+        self._last = program, known
+        return known
 
 
 def _is_unchanging(kind: Any) -> bool:

@@ -7,6 +7,7 @@ time as there are slots or pairs in a step, and every draw takes the same column
 
 from __future__ import annotations
 
+from copy import copy
 from math import prod
 
 import numpy as np
@@ -40,6 +41,22 @@ class JobStream:
         if self._pad_at > len(self._pad):
             raise TapeDamaged("the job's pad is shorter than the program needs")
         return slice(start, self._pad_at)
+
+    @property
+    def position(self) -> tuple[int, int]:
+        """Elements drawn from the pad, and stored bytes."""
+        return self._pad_at, self._correction_at
+
+    def at(self, pad: int, stored: int) -> JobStream:
+        """The same job, drawn up to a position."""
+        stream = copy(self)
+        stream._pad_at, stream._correction_at = pad, stored
+        return stream
+
+    @property
+    def elements(self) -> tuple[FieldArray, FieldArray]:
+        """The whole pad and all that is stored, as elements, to be read in any order."""
+        return self._pad, np.frombuffer(self._correction, dtype=np.uint64).reshape(-1, 2)
 
     def pad_blocks(self, shape: Shape) -> Block:
         """The next pseudo-random 128-bit blocks."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Callable, Coroutine, Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 from spdz.foundations.types import Buffer
@@ -18,7 +18,6 @@ from spdz.foundations.types import Buffer
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
 class Exchange:
     """A request for one round: send ``payload``, receive exactly ``expect`` bytes.
 
@@ -29,10 +28,13 @@ class Exchange:
         is_check: True for the frame of a MAC check, which travels alone.
     """
 
-    payload: Sequence[Buffer] = field(repr=False)
-    expect: int
-    elements: int
-    is_check: bool = False
+    __slots__ = ("elements", "expect", "is_check", "payload")
+
+    def __init__(self, payload: Sequence[Buffer], expect: int, elements: int, is_check: bool = False) -> None:
+        self.payload, self.expect, self.elements, self.is_check = payload, expect, elements, is_check
+
+    def __repr__(self) -> str:
+        return f"Exchange(expect={self.expect}, elements={self.elements}, is_check={self.is_check})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +89,10 @@ async def parallel(*protocols: Protocol[Any]) -> list[Any]:
     The frames of all lanes that exchange travel as one frame. A lane that asks for a check waits until
     every other lane asks for one too or has finished: one check at a time, and it travels alone.
     """
-    others = [type(one).__name__ for one in protocols if not isinstance(one, Coroutine)]
+    others = [type(one).__name__ for one in protocols if not isinstance(one, (Coroutine, Generator))]
     if others:
         for protocol in protocols:
-            if isinstance(protocol, Coroutine):
+            if isinstance(protocol, (Coroutine, Generator)):
                 protocol.close()
         raise TypeError(f"parallel takes what is not awaited yet, such as nonnegative(x), not {others[0]}")
     lanes: list[_Lane] = []

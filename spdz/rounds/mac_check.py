@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Sequence
 from typing import Any, TypeVar
 from typing import Protocol as Interface
 
@@ -55,8 +55,8 @@ class MacCheck:
     def __init__(self, alpha: int, party: int, session: bytes) -> None:
         """Args: this party's share of the MAC key, its number, and the session id."""
         self._alpha, self._party = alpha, party
-        self._prefix = b"spdz mac-check" + hashlib.sha256(session).digest()
-        self._opened: list[tuple[FieldArray, FieldArray | Collapsed] | Block] = []
+        self._prefix = hashlib.sha256(b"spdz mac-check" + hashlib.sha256(session).digest())
+        self._opened: list[tuple[FieldArray, FieldArray | Collapsed] | Block | bytes] = []
         self._same: bytes | None = None
         self._transcript = hashlib.sha256(b"spdz transcript")
         self._checks = 0
@@ -75,6 +75,11 @@ class MacCheck:
         self._opened.append((opened, mac))
         self._same = None
 
+    def record_same(self, count: int, same: bytes) -> None:
+        """Remember the k_i of so many opened elements, which the caller has computed."""
+        self._opened.append(b"elements" + count.to_bytes(8, "little") + same)
+        self._same = None
+
     def record_bits(self, sigma: Block) -> None:
         """Remember what must be the same blocks at both parties if the bits opened are right."""
         self._opened.append(sigma)
@@ -82,10 +87,12 @@ class MacCheck:
 
     def absorb(self, sent: Sequence[Buffer], received: Buffer) -> None:
         """Add one round to the transcript, party 0's message first."""
-        messages: tuple[Iterable[Buffer], Iterable[Buffer]] = (sent, (received,))
-        for message in messages if self._party == 0 else messages[::-1]:
-            for part in message:
-                self._transcript.update(part)
+        if self._party == 1:
+            self._transcript.update(received)
+        for part in sent:
+            self._transcript.update(part)
+        if self._party == 0:
+            self._transcript.update(received)
 
     def message(self) -> bytes:
         """Step 2: this party's hash. Repeating it before :meth:`verify` gives the same bytes."""
@@ -117,7 +124,7 @@ class MacCheck:
         return message
 
     def _digest(self) -> Any:
-        digest = hashlib.sha256(self._prefix)
+        digest = self._prefix.copy()
         digest.update(self._checks.to_bytes(8, "little"))
         digest.update(self._transcript.digest())
         return digest
@@ -126,6 +133,9 @@ class MacCheck:
         """Step 1: a digest of k_i, every opening with its kind and size."""
         digest = hashlib.sha256()
         for index, entry in enumerate(self._opened):
+            if isinstance(entry, bytes):
+                digest.update(entry)
+                continue
             if not isinstance(entry, tuple):
                 kind, count, same = b"bits", len(entry), entry.tobytes()
             elif isinstance(entry[1], np.ndarray):

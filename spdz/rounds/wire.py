@@ -1,6 +1,5 @@
 """Field elements as bytes: 16 bytes each, little-endian, canonical or refused."""
 
-from collections.abc import Sequence
 from math import prod
 from typing import Any
 
@@ -9,11 +8,9 @@ import numpy.typing as npt
 
 from spdz.arithmetic import field
 from spdz.foundations.errors import ProtocolViolation
-from spdz.foundations.types import FieldArray, Shape
-from spdz.rounds.coroutine import exchange
+from spdz.foundations.types import Buffer, FieldArray, Shape
 
 ELEMENT_BYTES = 16
-NOT_CANONICAL = "the peer sent a number that is not a field element (not below 2^127 - 1)"
 
 
 def to_bytes(array: npt.NDArray[Any]) -> memoryview:
@@ -21,20 +18,23 @@ def to_bytes(array: npt.NDArray[Any]) -> memoryview:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
 
-async def exchange_elements(own: Sequence[FieldArray], shapes: Sequence[Shape]) -> list[FieldArray]:
-    """Send field arrays and receive the peer's, of the given shapes, in one round.
+def from_bytes(raw: Buffer, shape: Shape) -> FieldArray:
+    """View a peer's bytes as elements of a shape.
 
     Raises:
-        ProtocolViolation: if an element that the peer sent is not below p.
+        ProtocolViolation: if one is not below p.
     """
-    sizes = [prod(shape) for shape in shapes]
-    sent = sum(array.size // 2 for array in own)
-    reply = await exchange([to_bytes(array) for array in own], sum(sizes) * ELEMENT_BYTES, sent)
-    words = np.frombuffer(reply, dtype=np.uint64).reshape(-1, 2)
+    words = np.frombuffer(raw, dtype=np.uint64).reshape((*shape, 2))
     if not field.is_canonical(words):
-        raise ProtocolViolation(NOT_CANONICAL)
-    arrays, start = [], 0
-    for size, shape in zip(sizes, shapes, strict=True):
-        arrays.append(words[start : start + size].reshape((*shape, 2)))
-        start += size
-    return arrays
+        raise not_canonical()
+    return words
+
+
+def not_canonical() -> ProtocolViolation:
+    """What to raise for a number of the peer's that is not below p."""
+    return ProtocolViolation("the peer sent a number that is not a field element (not below 2^127 - 1)")
+
+
+def element_bytes(shape: Shape) -> int:
+    """Bytes of so many elements."""
+    return ELEMENT_BYTES * prod(shape)

@@ -72,13 +72,13 @@ class Agreement:
             raise ProtocolViolation("the peer's note is not a JSON object")
         return answer
 
-    def program(self, text: str, jobs: int, title: str) -> None:
+    def program(self, text: str, jobs: int, program: object) -> None:
         """Agree on the program with its public constants, whenever they change.
 
         Args:
             text: The plan's fingerprint of it.
             jobs: How many of its jobs run next.
-            title: What an error message calls it.
+            program: What an error message calls by its name.
 
         Raises:
             TapeMismatch: if the peer runs something else.
@@ -86,6 +86,7 @@ class Agreement:
         call = (text, str(jobs))
         if call == self._program:
             return
+        title = str(getattr(program, "__name__", program))
         peer = self.control({"text": text, "jobs": jobs, "title": title[:120]}, "text", "jobs", "title")
         if (peer["text"], str(peer["jobs"])) != call:
             raise TapeMismatch(

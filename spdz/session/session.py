@@ -15,12 +15,15 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from typing import Any
 
 import numpy.typing as npt
 
 from spdz.channels import Channel, FrameKind
 from spdz.channels.frames import MAX_FRAME
+from spdz.compiled.programs import Programs
+from spdz.compiled.source import Straight
 from spdz.foundations.errors import (
     TapeError,
     TapeExhausted,
@@ -30,7 +33,6 @@ from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Shape
 from spdz.readings.meter import Plan
 from spdz.readings.party import Party
-from spdz.readings.plans import Plans
 from spdz.readings.program import Program, declare, quantise, run
 from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import parallel
@@ -56,6 +58,16 @@ class Result:
     stats: Stats
 
 
+@dataclass(frozen=True, slots=True)
+class _Reserved:
+    """A job that was marked used, and what of it was computed ahead by which code."""
+
+    index: int
+    stream: JobStream
+    code: Straight | None
+    early: tuple[Any, ...] | None = dataclass_field(repr=False)
+
+
 class Session(Conversing):
     """One party of a pair, connected to the other.
 
@@ -72,8 +84,10 @@ class Session(Conversing):
         super().__init__(channel, "session")
         self._tape = tape
         self._left = tape.remaining
-        self._reserved: deque[tuple[int, JobStream]] = deque()
-        self._plans = Plans(self.shapes, tape.header.security)
+        first, second = tape.header.program["shapes"]
+        self._shapes: tuple[Shape, Shape] = (tuple(first), tuple(second))
+        self._reserved: deque[_Reserved] = deque()
+        self._programs = Programs(self.shapes, tape.header.security, tape.header.party)
         with self._guard():
             own = Hello.of(tape)
             peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
@@ -114,24 +128,33 @@ class Session(Conversing):
     @property
     def shapes(self) -> tuple[Shape, Shape]:
         """Input shapes of both parties in one job."""
-        first, second = self._tape.header.program["shapes"]
-        return tuple(first), tuple(second)
+        return self._shapes
 
     # -- running -------------------------------------------------------------------------------------
 
-    def reserve(self, jobs: int) -> None:
+    def reserve(self, jobs: int, program: Program | None = None) -> None:
         """Read so many jobs ahead, mark them used, durably, in one go, and expand their pads.
 
         What is reserved and not run when the session ends is lost. Without a call, every run reserves
         what it needs, at the price of a disk flush.
 
+        Args:
+            jobs: How many.
+            program: The program that they will run, if it is known: what depends on the tape alone is then
+                computed now. The jobs serve other thresholds as well.
+
         Raises:
             TapeExhausted: if fewer jobs are left; nothing is consumed, and the session lives on.
+            TapeMismatch: if the tape was not dealt for this program.
         """
         self._require_alive()
+        code = None
+        if program is not None:
+            self._plan(program)
+            code = self._programs.code(program, again=True)
         with self._turn:
             try:
-                self._reserve(jobs)
+                self._reserve(jobs, code)
             except (TapeExhausted, ValueError):
                 raise
             except BaseException as error:  # some jobs may be used and not kept here, unlike at the peer
@@ -152,11 +175,16 @@ class Session(Conversing):
             MacCheckFailed: if the peer cheated; nothing is output and the tape is destroyed.
             ChannelError: if the connection fails.
         """
-        result = self.run_many(program, [data])
-        return Result(result.value[0], result.stats)
+        (value,), stats = self._run(program, [data])
+        return Result(value, stats)
 
     def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
         """Run several jobs in the same rounds; the result's value is a list."""
+        return Result(*self._run(program, data))
+
+    # -- the parts of a run --------------------------------------------------------------------------
+
+    def _run(self, program: Program, data: Sequence[npt.ArrayLike]) -> tuple[list[Any], Stats]:
         self._require_alive()
         plan = self._plan(program)
         inputs = [self._quantise(program, one) for one in data]
@@ -167,22 +195,24 @@ class Session(Conversing):
                 f"{MAX_FRAME >> 20} MB: run fewer at once"
             )
         with self._guard():
-            self._agreement.program(plan.text, len(inputs), str(getattr(program, "__name__", program)))
+            self._agreement.program(plan.text, len(inputs), program)
             if len(inputs) > len(self._reserved):
                 self._reserve(len(inputs) - len(self._reserved))
             jobs = [self._reserved.popleft() for _ in inputs]
             if jobs:  # frames of other jobs than the peer's are refused
-                self._channel.bind((self._tag + jobs[0][0]) & 0xFFFFFFFF)
+                self._channel.bind((self._tag + jobs[0].index) & 0xFFFFFFFF)
             stats = Stats()
-            lanes = [self._lane(program, job, raw, stats) for (_, job), raw in zip(jobs, inputs, strict=True)]
-            values = run_channel(drive(_all(lanes), self._agreement.mac_check), self._channel, stats)
-        return Result(values, stats)
-
-    # -- the parts of a run --------------------------------------------------------------------------
+            code = self._programs.code(program)
+            lanes = [
+                self._lane(program, code, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)
+            ]
+            protocol = lanes[0] if len(lanes) == 1 else parallel(*lanes)
+            value = run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+        return [value] if len(lanes) == 1 else value, stats
 
     def _plan(self, program: Program) -> Plan:
         """The meter's plan, held against the tape."""
-        plan = self._plans.of(program)
+        plan = self._programs.of(program)
         if plan.recipe != self.header.fingerprint:
             raise TapeMismatch(
                 f"this tape was dealt for {_describe(self.header.program)}, which is not the program given; "
@@ -201,17 +231,25 @@ class Session(Conversing):
     def _alpha(self) -> int | None:
         return int.from_bytes(self._tape.alpha, "little") if self.header.security == "malicious" else None
 
-    def _reserve(self, jobs: int) -> None:
+    def _reserve(self, jobs: int, code: Straight | None = None) -> None:
         pad_bytes = self.header.pad_bytes
         reserved = self._tape.reserve(jobs)
         self._left = self._tape.remaining
-        self._reserved.extend(
-            [(job.index, JobStream(job.key, pad_bytes, job.correction)) for job in reserved]
-        )
+        for job in reserved:
+            stream = JobStream(job.key, pad_bytes, job.correction)
+            early = None if code is None else code.ahead(stream, self._alpha)
+            self._reserved.append(_Reserved(job.index, stream, code, early))
 
-    def _lane(self, program: Program, job: JobStream, raw: IntArray, stats: Stats) -> Any:
-        header = self._tape.header
-        party = Party(self.party, header.security, job, self._agreement.mac_check, self._alpha, stats)
+    def _lane(
+        self, program: Program, code: Straight | None, job: _Reserved, raw: IntArray, stats: Stats
+    ) -> Any:
+        alpha, mac_check = self._alpha, self._agreement.mac_check
+        if code is not None:
+            early = job.early if job.code is code else None
+            if early is None:
+                early = code.ahead(job.stream, alpha)
+            return code.run(early, alpha, mac_check, raw, stats)
+        party = Party(self.party, self._tape.header.security, job.stream, mac_check, alpha, stats)
         return run(party, program, declare(program, self.shapes, {self.party: raw}))
 
     # -- ending --------------------------------------------------------------------------------------
@@ -226,10 +264,6 @@ class Session(Conversing):
 
     def _release(self) -> None:
         self._tape.close()
-
-
-async def _all(lanes: Sequence[Any]) -> list[Any]:
-    return [await lanes[0]] if len(lanes) == 1 else await parallel(*lanes)
 
 
 def _describe(program: Any) -> str:

@@ -27,6 +27,7 @@ from spdz.arithmetic.rings import Ring
 from spdz.dcf import Keys
 from spdz.foundations.types import Block, FieldArray, IntArray, Security, Shape
 from spdz.values import input_mask
+from spdz.values.party_ring import PartyRing
 from spdz.values.trees import TreeKey, TreePads
 from spdz.values.value import Value
 
@@ -220,6 +221,7 @@ class Evaluation(Engine):
 
     index: int
     alpha: int | None
+    ring: PartyRing
 
     @abstractmethod
     def authenticated(
@@ -249,7 +251,7 @@ class Evaluation(Engine):
         """Draw this party's half-tree keys."""
 
     @abstractmethod
-    async def open_bits(self, shares: Block, delta: Block) -> npt.NDArray[np.bool_]:
+    async def open_bits(self, shares: Block, delta: Block, n: int) -> npt.NDArray[np.bool_]:
         """Open n bits from shares of ``bit * Delta``, shape (n, 2), recording them for the MAC check."""
 
     @abstractmethod

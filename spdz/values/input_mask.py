@@ -87,10 +87,7 @@ def hide(x: IntArray, r: FieldArray, mask_bits: int, norm: int) -> npt.NDArray[A
         return field.sub_from_int64(x, r)
     words = x + field_offsets(r)
     if not inside(words, mask_bits, norm).all():
-        raise Unsent(
-            "the mask of this job does not suit this input, which happens once in 2^30 times: nothing was "
-            "sent; run the next job"
-        )
+        raise unsuited()
     return words
 
 
@@ -129,8 +126,21 @@ def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
     """
     words = read_packed(raw, shape, mask_bits)
     if not inside(words, mask_bits, norm).all():
-        raise ProtocolViolation("the peer sent a masked word outside the interval that honest words lie in")
+        raise outside()
     return words
+
+
+def unsuited() -> Unsent:
+    """What to raise for words that must not be sent."""
+    return Unsent(
+        "the mask of this job does not suit this input, which happens once in 2^30 times: nothing was sent; "
+        "run the next job"
+    )
+
+
+def outside() -> ProtocolViolation:
+    """What to raise for words that no honest peer sends."""
+    return ProtocolViolation("the peer sent a masked word outside the interval that honest words lie in")
 
 
 def read_packed(raw: Buffer, shape: Shape, bits: int) -> IntArray:
