@@ -78,7 +78,7 @@ def advice(verdicts: Sequence[Verdict]) -> list[str]:
         first = worse[0].key
         cell = f"--score {first.score} --dim {first.n} --security {first.security}"
         said.append(
-            f"{len(worse)} of {len(verdicts)} ratios are, however often measured, above {worse[0].tolerance:g} times "
+            f"{len(worse)} of {len(verdicts)} ratios stay above {worse[0].tolerance:g} times "
             f"the committed ones. See what changed: python -m bench versus COMMIT {cell}\n"
             "If the cost is meant: python -m bench check --update, and say why in the commit."
         )
