@@ -18,6 +18,7 @@ import numpy as np
 import bench.accuracy
 import bench.agents.cli
 import bench.attacks.cli
+import bench.check.cli
 import bench.gallery
 import bench.links.cli
 import bench.oracle
@@ -52,6 +53,7 @@ further commands, each with a --help of its own:
   python -m bench attacks     what a compromised robot gains, with and without private comparisons
   python -m bench oracle      the same scores by MP-SPDZ, live, where you have it
   python -m bench versus      this tree against another commit, in one run
+  python -m bench check       is it still as quick as the committed ratios say (make bench-check)
 
 examples:
   python -m bench --score S10 --dim 8192 --security malicious --trials 10 --json
@@ -62,6 +64,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {
     "accuracy": bench.accuracy.main,
     "agents": bench.agents.cli.main,
     "attacks": bench.attacks.cli.main,
+    "check": bench.check.cli.main,
     "gallery": bench.gallery.main,
     "links": bench.links.cli.main,
     "oracle": bench.oracle.main,

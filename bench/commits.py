@@ -1,4 +1,4 @@
-"""This repository's own history: which commit a tree is at, and the tree of another one."""
+"""This repository's own history: a commit that a user names, and its tree."""
 
 from __future__ import annotations
 
@@ -38,15 +38,6 @@ def resolve(tree: Path, name: str) -> str:
     if _git(tree, "rev-parse", "--is-shallow-repository") == "true":
         raise HistoryError(f"no commit {name}: this clone is shallow. Fetch the rest: git fetch --unshallow")
     raise HistoryError(f"no commit {name} in {tree}: see git log, or fetch it (git fetch --all)")
-
-
-def present(tree: Path) -> tuple[str | None, bool]:
-    """The commit that a tree is at, None outside of git, and whether files differ from it."""
-    try:
-        commit = resolve(tree, "HEAD")
-    except HistoryError:
-        return None, False
-    return commit, bool(_git(tree, "status", "--porcelain", "--untracked-files=no"))
 
 
 @contextmanager

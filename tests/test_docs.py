@@ -20,14 +20,17 @@ import bench.attacks.insider
 import bench.attacks.paths
 import bench.attacks.probes
 import bench.attacks.scans
+import bench.check.cli
 import bench.cli
 import bench.gallery
 import bench.gallery_pairs
+import bench.links.cli
 import bench.oracle
 import bench.recorded_accuracy
 import bench.report.cli
 import bench.sweep.cli
 import bench.sweep.results
+import bench.versus
 import dealer.cli
 import protocols.check
 import spdz
@@ -280,6 +283,7 @@ def known_options() -> set[str]:
     parsers = [dealer.cli.parser(), bench.cli.parser(), bench.gallery.parser()]
     parsers += [bench.accuracy.parser(), bench.agents.cli.parser(), bench.attacks.cli.parser()]
     parsers += [bench.oracle.parser(), bench.report.cli.parser(), bench.sweep.cli.parser()]
+    parsers += [bench.links.cli.parser(), bench.versus.parser(), bench.check.cli.parser()]
     parsers += [commands, *subparsers.choices.values()]
     return {option for one in parsers for action in one._actions for option in action.option_strings}
 
@@ -314,8 +318,17 @@ def test_the_reference_names_every_field_of_the_benchmark_and_every_counter():
         bench.attacks.insider.RefusalRow,
     )
     sweep = (bench.sweep.results.Trial, bench.sweep.results.About)
+    links = (bench.links.cli.LinkRow, bench.versus.VersusRow)
     described = (protocols.check.Standing, protocols.check.Form, protocols.check.Norms)
-    for kind in (*rows, *attacks, *sweep, *described, bench.recorded_accuracy.RecordedRow, spdz.Stats):
+    for kind in (
+        *rows,
+        *attacks,
+        *sweep,
+        *links,
+        *described,
+        bench.recorded_accuracy.RecordedRow,
+        spdz.Stats,
+    ):
         assert {field.name for field in dataclasses.fields(kind)} <= spans
 
 
