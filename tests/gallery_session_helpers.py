@@ -224,15 +224,20 @@ class Cable(MemoryChannel):
         self.frames.append((kind.name, self.said, bytes(reply)))
         return reply
 
-    def _swap(self, frame, reader, deadline):
+    def _begin(self, frame):
+        self.frame = frame
+
+    def _finish(self, reader, deadline):
+        frame = self.frame
         number, own = self.rounds + self.control_rounds, b"".join(frame[1:])
         self.said = own
         if self.cut is not None and self.cut[0] == number:
             self._fail(self.cut[1], b"".join(frame))
         if self.say is None:
-            super()._swap(frame, reader, deadline)
+            super()._begin(frame)
+            super()._finish(reader, deadline)
             return
-        super()._swap([memoryview(b"")], reader, deadline)
+        super()._finish(reader, deadline)
         self.said = self.say(number, FrameKind(frame[0][1]), own, bytes(reader.payload()))
         header = bytearray(frame[0])
         header[12:16] = len(self.said).to_bytes(4, "little")

@@ -220,7 +220,7 @@ def test_an_interrupted_exchange_kills_the_channel(pair, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(a, "_swap", interrupted)
+        patch.setattr(a, "_finish", interrupted)
         a.exchange(DATA, [b"1"], 1)
     with pytest.raises(ChannelClosed, match="interrupted"):
         a.exchange(DATA, [b"1"], 1)

@@ -22,12 +22,15 @@ class RushingEnd(MemoryChannel):
 
     answer = None
 
-    def _swap(self, frame, reader, deadline):
+    def _begin(self, frame):
+        self.frame = frame
         if self.answer is None:
-            return super()._swap(frame, reader, deadline)
-        super()._swap([], reader, deadline)
-        self._outgoing.put(bytes(frame[0]) + self.answer(bytes(reader.payload())))
-        return None
+            super()._begin(frame)
+
+    def _finish(self, reader, deadline):
+        super()._finish(reader, deadline)
+        if self.answer is not None:
+            self._outgoing.put(bytes(self.frame[0]) + self.answer(bytes(reader.payload())))
 
 
 def network_duel(folder, program, evil, lie, follow=True):
@@ -41,9 +44,9 @@ def network_duel(folder, program, evil, lie, follow=True):
     def mac_check(alpha, party, session):
         return (Ledger if party == evil else MacCheck)(alpha, party, session)
 
-    def frames(protocol, check):
+    def frames(protocol, check, post):
         if not isinstance(check, Ledger):
-            return drive(protocol, check)
+            return drive(protocol, check, post)
         insider = Insider(protocol, check, lie, follow=follow)
         ends[evil].answer = insider.answer
         return insider.frames()

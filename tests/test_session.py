@@ -150,16 +150,16 @@ def test_bad_input_consumes_nothing_and_the_session_lives_on(tmp_path, bad):
 def tampered_pair(at, change):
     """A memory pair whose second end changes the payload of its exchange number ``at``."""
     first, second = memory_pair(timeout=5.0)
-    honest, count = second.exchange, [0]
+    honest, count = second.post, [0]
 
-    def exchange(kind, payload, expect, *rest):
+    def post(kind, payload, expect, *rest):
         if kind != FrameKind.CONTROL:
             count[0] += 1
             if count[0] == at:
                 payload = [change(b"".join(bytes(part) for part in payload))]
         return honest(kind, payload, expect, *rest)
 
-    second.exchange = exchange
+    second.post = post
     return first, second
 
 
@@ -214,14 +214,14 @@ def test_a_tape_copied_back_never_uses_a_mask_twice(tmp_path):
     frames = []
 
     def work(session):
-        original = session._channel.exchange
+        original = session._channel.post
 
         def spy(kind, payload, expect, *rest):
             if kind == FrameKind.DATA and session.party == 0:
                 frames.append(b"".join(bytes(part) for part in payload))
             return original(kind, payload, expect, *rest)
 
-        session._channel.exchange = spy
+        session._channel.post = spy
         return session.run(S10, OWN[session.party]).value
 
     # own mark, then a robot that lost its state folder too (caught through the peer's cursor)
@@ -325,13 +325,13 @@ def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, monkeypatch):
 def test_a_note_that_was_changed_on_the_line_fails_the_next_check(tmp_path, runs):
     paths, states = deal(tmp_path / "m", S10, SHAPES, 3), state_dirs(tmp_path)
     first, second = memory_pair(timeout=5.0)
-    honest = second.exchange
+    honest = second.post
 
-    def exchange(kind, payload, expect, *rest):
+    def post(kind, payload, expect, *rest):
         changed = [bytes(payload[0]).replace(b'"descriptors":2', b'"descriptors":4')]
         return honest(kind, changed if kind == FrameKind.CONTROL else payload, expect, *rest)
 
-    second.exchange = exchange
+    second.post = post
 
     def work(session):
         for _ in range(runs):

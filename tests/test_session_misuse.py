@@ -142,12 +142,12 @@ def test_a_second_thread_is_told_and_changes_nothing(tmp_path):
     inside, told = Event(), Event()
 
     def work(session):
-        exchange = session._channel.exchange
+        post = session._channel.post
 
         def slow(kind, payload, expect, *rest):
             inside.set()
             assert told.wait(10)
-            return exchange(kind, payload, expect, *rest)
+            return post(kind, payload, expect, *rest)
 
         errors = []
 
@@ -164,7 +164,7 @@ def test_a_second_thread_is_told_and_changes_nothing(tmp_path):
             told.set()
 
         if session.party == 0:
-            session._channel.exchange = slow
+            session._channel.post = slow
             other = Thread(target=intrude)
             other.start()
             value = session.run(S10, OWN[0]).value
@@ -216,16 +216,16 @@ ESCAPES = "\x1b[2J\x1b]0;owned\x07\u202e\x9b"
 def test_nothing_that_a_terminal_obeys_gets_from_a_peer_into_an_error(tmp_path, where):
     paths = deal(tmp_path / "m", S10, SHAPES, 3)
     first, second = memory_pair(timeout=5.0)
-    honest = second.exchange
+    honest = second.post
 
-    def exchange(kind, payload, expect, *rest):
+    def post(kind, payload, expect, *rest):
         text = b"".join(bytes(part) for part in payload)
         if kind == FrameKind.CONTROL:
             hostile = json_with(text, where)
             return honest(kind, [hostile], expect, *rest)
         return honest(kind, payload, expect, *rest)
 
-    second.exchange = exchange
+    second.post = post
     error, _ = run_pair(
         paths, state_dirs(tmp_path), lambda s: s.run(S10, OWN[s.party]), channels=(first, second)
     )

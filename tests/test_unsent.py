@@ -48,9 +48,9 @@ class Watched(MemoryChannel):
         super().__init__(*arguments)
         self.kinds = []
 
-    def exchange(self, kind, *arguments):
+    def post(self, kind, *arguments):
         self.kinds.append(kind)
-        return super().exchange(kind, *arguments)
+        super().post(kind, *arguments)
 
 
 @pytest.mark.parametrize("security", SECURITIES)

@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable
 from typing import TypeAlias, TypeVar
 
-from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.telling import Teller, ignore
+from spdz.channels.times import LONGEST_SLEEP
 from spdz.foundations.errors import ChannelError
 
 RETRY_SECONDS = 0.1

@@ -8,7 +8,6 @@ byte a second does not extend it. After any error the channel is dead. A channel
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import time
 from abc import ABC, abstractmethod
@@ -28,16 +27,13 @@ from spdz.channels.frames import (
     pack_abort,
     pack_header,
 )
-from spdz.channels.telling import in_seconds
-from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted, SpdzError
+from spdz.channels.times import DEFAULT_TIMEOUT, check_limits, check_wait
+from spdz.foundations.errors import ChannelClosed, ChannelError, PeerAborted, SpdzError
 from spdz.foundations.types import Buffer
 
-DEFAULT_TIMEOUT = 30.0
 ABORT_SECONDS = 1.0
 _ROUNDS = frozenset({FrameKind.DATA, FrameKind.CHECK})
 _EXCHANGED = _ROUNDS | {FrameKind.CONTROL}
-LONGEST_SLEEP = 60.0
-"""Seconds that one wait takes at most; every wait is in a loop. The system's calls refuse very long ones."""
 
 Self = TypeVar("Self", bound="Channel")
 
@@ -67,6 +63,7 @@ class Channel(ABC):
         self._timeout = timeout
         self._max_frame, self._max_control = max_frame, min(MAX_CONTROL, max_frame)
         self._session = 0
+        self._posted: tuple[FrameKind, int, FrameReader, float] | None = None
         self._death: str | None = None
         self._closed = False
         self._process = os.getpid()
@@ -108,7 +105,18 @@ class Channel(ABC):
             ChannelClosed: if the peer hung up, or the channel is dead or closed.
             ChannelError: in another process than the one that made the channel.
         """
+        self.post(kind, payload, expect, dtype)
+        return self.take()
+
+    def post(self, kind: FrameKind, payload: Payload, expect: int | None, dtype: DType = DType.BYTES) -> None:
+        """The first half of an exchange: send as much of the frame as can be sent at once.
+
+        So this side can work while the frame travels. Arguments and errors are those of :meth:`exchange`; its
+        time begins here. The buffers must not change before :meth:`take`, which must come next.
+        """
         self._require_usable()
+        if self._posted is not None:
+            raise ValueError("the frame that was posted last has not been answered yet")
         views = byte_views(payload)
         size = sum(map(len, views))
         if expect is None or not (kind in _ROUNDS and size <= self._max_frame >= expect >= 0):
@@ -116,16 +124,30 @@ class Channel(ABC):
         round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
         header = pack_header(kind, dtype, self._session, round_, size)
         reader = FrameReader(kind, dtype, self._session, round_, expect, self._max_control)
+        self._posted = (kind, HEADER_BYTES + size, reader, time.monotonic() + self._timeout)
         try:
-            self._swap([header, *views], reader, time.monotonic() + self._timeout)
+            self._begin([header, *views])
         except BaseException as error:
             self._die_of(error)
             raise
+
+    def take(self) -> memoryview:
+        """The second half of an exchange: send the rest, and return the peer's payload."""
+        self._require_usable()
+        if self._posted is None:
+            raise ValueError("no frame was posted that could be answered")
+        kind, sent, reader, deadline = self._posted
+        try:
+            self._finish(reader, deadline)
+        except BaseException as error:
+            self._die_of(error)
+            raise
+        self._posted = None
         if kind in _ROUNDS:
             self.rounds += 1
         else:
             self.control_rounds += 1
-        self.bytes_sent += HEADER_BYTES + size
+        self.bytes_sent += sent
         self.bytes_received += reader.received
         return reader.payload()
 
@@ -223,11 +245,21 @@ class Channel(ABC):
             raise ValueError("a frame cannot have a negative length")
 
     @abstractmethod
-    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
-        """Send ``frame`` and fill ``reader``, full duplex.
+    def _begin(self, frame: list[Buffer]) -> None:
+        """Send what can be sent of a frame at once.
 
         Args:
             frame: The header and the payload, as bytes and byte views.
+
+        Raises:
+            SpdzError: nothing else but :class:`KeyboardInterrupt` and the like.
+        """
+
+    @abstractmethod
+    def _finish(self, reader: FrameReader, deadline: float) -> None:
+        """Send the rest of it and fill ``reader``, full duplex.
+
+        Args:
             reader: Where to put what comes.
             deadline: ``time.monotonic()`` by when both must be done.
 
@@ -237,7 +269,7 @@ class Channel(ABC):
 
     @abstractmethod
     def _await(self, deadline: float, wake: int | None) -> bool:
-        """Wait as :meth:`await_frame` until ``deadline``; what is read ahead is kept for :meth:`_swap`."""
+        """Wait as :meth:`await_frame` until ``deadline``; what is read ahead is kept for :meth:`_finish`."""
 
     @abstractmethod
     def _send_last(self, frame: bytes, deadline: float) -> None:
@@ -250,44 +282,3 @@ class Channel(ABC):
     @abstractmethod
     def _release(self) -> None:
         """Give the transport back without a sign to the peer. Called once."""
-
-
-def check_limits(timeout: float, max_frame: int) -> None:
-    """Refuse limits out of range, before anything is opened.
-
-    Raises:
-        ValueError: if one is.
-    """
-    if not (timeout > 0 and math.isfinite(timeout)):
-        raise ValueError(f"timeout must be a positive number of seconds, not {timeout!r}")
-    if not 1 <= max_frame <= MAX_FRAME:
-        raise ValueError(f"max_frame must be 1 to {MAX_FRAME} bytes, not {max_frame!r}")
-
-
-def check_wait(seconds: float, wake: int | None) -> None:
-    """Refuse what :meth:`Channel.await_frame` cannot wait for.
-
-    Raises:
-        ValueError: unless ``seconds`` is a number from 0 on and ``wake``, if given, an open descriptor.
-    """
-    if not (seconds >= 0 and math.isfinite(seconds)):
-        raise ValueError(f"a wait takes a number of seconds from 0 on, not {seconds!r}")
-    if wake is not None:
-        try:
-            os.fstat(wake)
-        except (OSError, TypeError, OverflowError):
-            raise ValueError(f"wake must be an open file descriptor, not {wake!r}") from None
-
-
-def remaining(deadline: float, reader: FrameReader, seconds: float) -> float:
-    """Seconds left until ``deadline``, or LONGEST_SLEEP if that is less.
-
-    Raises:
-        ChannelTimeout: if there are none.
-    """
-    left = deadline - time.monotonic()
-    if left <= 0:
-        raise ChannelTimeout(
-            f"the peer did not finish this round within {in_seconds(seconds)} ({reader.progress()})"
-        )
-    return min(left, LONGEST_SLEEP)

@@ -13,11 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from spdz.channels.addresses import NotYet, patiently
-from spdz.channels.base import DEFAULT_TIMEOUT, check_limits
 from spdz.channels.frames import MAX_FRAME
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.tcp import DEFAULT_WAIT
 from spdz.channels.telling import Teller, ignore, in_seconds
+from spdz.channels.times import DEFAULT_TIMEOUT, check_limits
 from spdz.channels.tls import make_context, reach
 from spdz.channels.topic import be_taken, topic_bytes
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout

@@ -6,9 +6,10 @@ import select
 import time
 from queue import Empty, SimpleQueue
 
-from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
+from spdz.channels.base import Channel
 from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import MAX_FRAME
+from spdz.channels.times import DEFAULT_TIMEOUT, LONGEST_SLEEP, remaining
 from spdz.foundations.errors import ChannelClosed
 from spdz.foundations.types import Buffer
 
@@ -29,8 +30,10 @@ class MemoryChannel(Channel):
         self._outgoing = outgoing
         self._leftover = memoryview(b"")
 
-    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
+    def _begin(self, frame: list[Buffer]) -> None:
         self._outgoing.put(b"".join(frame))
+
+    def _finish(self, reader: FrameReader, deadline: float) -> None:
         while not reader.complete:
             if not self._leftover:
                 try:

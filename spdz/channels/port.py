@@ -25,7 +25,7 @@ from pathlib import Path
 from types import TracebackType
 
 from spdz.channels.addresses import NotYet, parse_address
-from spdz.channels.base import DEFAULT_TIMEOUT, Channel, check_limits
+from spdz.channels.base import Channel
 from spdz.channels.calling import dial
 from spdz.channels.frames import MAX_FRAME
 from spdz.channels.listening import Listener, addresses_of, open_listener
@@ -33,6 +33,7 @@ from spdz.channels.parking import Parking
 from spdz.channels.reception import MAX_HANDSHAKES, Reception
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.telling import Teller, harmless, ignore, in_seconds
+from spdz.channels.times import DEFAULT_TIMEOUT, check_limits
 from spdz.channels.tls import make_context
 from spdz.channels.tls_stream import TlsStream
 from spdz.channels.topic import TopicCaller, topic_bytes

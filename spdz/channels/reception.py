@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from spdz.channels.addresses import RETRY_SECONDS, NotYet, patiently
-from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.listening import Listener, accept_one, address_of, addresses_of
 from spdz.channels.stream import Stream, describe
 from spdz.channels.telling import Teller, in_seconds
+from spdz.channels.times import LONGEST_SLEEP
 from spdz.foundations.errors import ChannelError, ChannelTimeout
 
 MAX_HANDSHAKES = 32

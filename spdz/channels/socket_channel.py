@@ -5,10 +5,11 @@ from __future__ import annotations
 import select
 import time
 
-from spdz.channels.base import DEFAULT_TIMEOUT, LONGEST_SLEEP, Channel, remaining
+from spdz.channels.base import Channel
 from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import MAX_FRAME, merge_small
 from spdz.channels.stream import Stream, describe, is_about_a_certificate
+from spdz.channels.times import DEFAULT_TIMEOUT, LONGEST_SLEEP, remaining
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout
 from spdz.foundations.types import Buffer
 
@@ -33,19 +34,23 @@ class SocketChannel(Channel):
         self._poll, self._incoming = select.poll(), select.poll()
         self._incoming.register(stream, select.POLLIN)
         self._in_frame = False  # whether part of a frame may be out
+        self._pieces: list[memoryview] = []  # of the frame that is being sent, the next one last
         self._send_error: OSError | None = None
         self._ahead = b""  # the byte that was waited for
 
-    def _swap(self, frame: list[Buffer], reader: FrameReader, deadline: float) -> None:
-        pieces = merge_small(frame)
-        pieces.reverse()
-        stream = self._stream
-        ready = stream.reads_ahead
+    def _begin(self, frame: list[Buffer]) -> None:
+        self._pieces = merge_small(frame)
+        self._pieces.reverse()
         self._in_frame = True
+        self._send_some(self._pieces)
+
+    def _finish(self, reader: FrameReader, deadline: float) -> None:
+        pieces, stream = self._pieces, self._stream
+        ready = stream.reads_ahead
         if self._ahead:
             reader.space[:1], self._ahead = self._ahead, b""
             reader.advance(1)
-        sends = receives = True
+        sends, receives = self._send_error is None and (bool(pieces) or stream.backlog), True
         while True:
             more = sends and self._send_some(pieces)
             more |= receives and ready and self._receive_some(reader)

@@ -11,8 +11,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TypeGuard
 
-from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.telling import in_seconds
+from spdz.channels.times import LONGEST_SLEEP
 from spdz.foundations.errors import ChannelTimeout
 
 _DRAIN = 64 << 10

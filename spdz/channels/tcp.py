@@ -15,7 +15,6 @@ import socket
 from collections.abc import Callable
 
 from spdz.channels.addresses import NotYet
-from spdz.channels.base import DEFAULT_TIMEOUT, check_limits
 from spdz.channels.dialing import call
 from spdz.channels.frames import MAX_FRAME, AbortReason, pack_abort
 from spdz.channels.listening import open_listener
@@ -23,6 +22,7 @@ from spdz.channels.reception import Caller, receive
 from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.stream import PlainStream, Stream, complete, describe
 from spdz.channels.telling import Teller, ignore
+from spdz.channels.times import DEFAULT_TIMEOUT, check_limits
 from spdz.foundations.errors import ChannelError
 
 DEFAULT_WAIT = 60.0

@@ -14,7 +14,6 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from spdz.channels.addresses import NotYet
-from spdz.channels.base import DEFAULT_TIMEOUT, check_limits
 from spdz.channels.dialing import call
 from spdz.channels.frames import MAX_FRAME, AbortReason, pack_abort
 from spdz.channels.listening import open_listener
@@ -23,6 +22,7 @@ from spdz.channels.socket_channel import SocketChannel
 from spdz.channels.stream import complete, describe, is_about_a_certificate
 from spdz.channels.tcp import DEFAULT_WAIT
 from spdz.channels.telling import Teller, ignore
+from spdz.channels.times import DEFAULT_TIMEOUT, check_limits
 from spdz.channels.tls_stream import TlsStream
 from spdz.foundations.errors import ChannelError
 

@@ -12,11 +12,11 @@ import threading
 import time
 from collections.abc import Collection
 
-from spdz.channels.base import LONGEST_SLEEP
 from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import AbortReason, DType, FrameKind, pack_abort, pack_header
 from spdz.channels.socket_channel import lost
 from spdz.channels.stream import Stream, describe
+from spdz.channels.times import LONGEST_SLEEP
 from spdz.channels.tls import TlsCaller
 from spdz.channels.tls_stream import TlsStream
 from spdz.foundations.errors import (

@@ -26,12 +26,14 @@ class Exchange:
         expect: Length in bytes of the peer's message, known from the program.
         elements: Field or ring elements in ``payload`` (for the counters).
         is_check: True for the frame of a MAC check, which travels alone.
+        is_posted: Whether the payload is on its way already.
     """
 
-    __slots__ = ("elements", "expect", "is_check", "payload")
+    __slots__ = ("elements", "expect", "is_check", "is_posted", "payload")
 
     def __init__(self, payload: Sequence[Buffer], expect: int, elements: int, is_check: bool = False) -> None:
         self.payload, self.expect, self.elements, self.is_check = payload, expect, elements, is_check
+        self.is_posted = False
 
     def __repr__(self) -> str:
         return f"Exchange(expect={self.expect}, elements={self.elements}, is_check={self.is_check})"
@@ -42,7 +44,20 @@ class Check:
     """A request for one MAC check; a barrier over every lane of :func:`parallel`."""
 
 
-Request: TypeAlias = Exchange | Check
+class Post(Exchange):
+    """A request to send what an exchange sends; the protocol goes on, and takes the reply by :data:`TAKE`."""
+
+    __slots__ = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """A request for the reply of the exchange that was posted last."""
+
+
+TAKE = Take()
+
+Request: TypeAlias = Exchange | Check | Take
 Protocol: TypeAlias = Coroutine[Request, Any, T]
 
 
@@ -68,7 +83,7 @@ async def check() -> None:
 class _Lane:
     """One protocol of a :func:`parallel` group: its coroutine, what it waits for, its result."""
 
-    __slots__ = ("coroutine", "request", "result")
+    __slots__ = ("coroutine", "posted", "request", "result")
 
     def __init__(self, coroutine: Protocol[Any]) -> None:
         self.coroutine = coroutine
@@ -78,7 +93,11 @@ class _Lane:
 
     def step(self, reply: memoryview | None) -> None:
         try:
-            self.request = self.coroutine.send(reply)
+            request = self.coroutine.send(reply)
+            if isinstance(request, Post):  # the lanes' frames travel as one
+                self.posted = request
+                request = self.coroutine.send(None)
+            self.request = self.posted if isinstance(request, Take) else request
         except StopIteration as done:
             self.request, self.result = None, done.value
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any, TypeVar
 from typing import Protocol as Interface
 
@@ -32,7 +32,7 @@ from spdz.arithmetic import field
 from spdz.arithmetic.weighted import bilinear
 from spdz.foundations.errors import MacCheckFailed, Wrapped
 from spdz.foundations.types import Block, Buffer, FieldArray
-from spdz.rounds.coroutine import Check, Exchange, Protocol
+from spdz.rounds.coroutine import Check, Exchange, Post, Protocol, Take
 
 T = TypeVar("T")
 
@@ -98,13 +98,22 @@ class MacCheck:
         """Step 2: this party's hash. Repeating it before :meth:`verify` gives the same bytes."""
         return self._hash(self._party)
 
-    def verify(self, received: Buffer) -> None:
+    def expected(self) -> bytes:
+        """The hash that an honest peer sends."""
+        return self._hash(1 - self._party)
+
+    def verify(self, received: Buffer, expected: bytes | None = None) -> None:
         """Step 3; on success everything opened so far counts as checked.
+
+        Args:
+            received: The peer's hash.
+            expected: :meth:`expected`, where that was made while the peer's was on its way.
 
         Raises:
             MacCheckFailed: if the peer's hash is another one. The object refuses all further use.
         """
-        if self._failed or not hmac.compare_digest(self._hash(1 - self._party), received):
+        expected = self.expected() if expected is None else expected
+        if self._failed or not hmac.compare_digest(expected, received):
             self._failed = True
             raise MacCheckFailed(
                 "an opened value does not carry a valid MAC: the peer cheated, or the connection was "
@@ -165,33 +174,60 @@ def unrecorded() -> MacCheckFailed:
     return MacCheckFailed("nothing is opened in the malicious mode without a check that records it")
 
 
-def drive(protocol: Protocol[T], mac_check: MacCheck | None) -> Generator[Exchange, memoryview, T]:
+def _checked(
+    mac_check: MacCheck, post: Callable[[Exchange], None] | None
+) -> Generator[Exchange, memoryview, None]:
+    """One check."""
+    request = Exchange([mac_check.message()], DIGEST_BYTES, 0, is_check=True)
+    _send(request, post)
+    expected = mac_check.expected()
+    mac_check.verify((yield request), expected)
+
+
+def _send(request: Exchange, post: Callable[[Exchange], None] | None) -> None:
+    if post is not None:
+        post(request)
+        request.is_posted = True
+
+
+def drive(
+    protocol: Protocol[T], mac_check: MacCheck | None, post: Callable[[Exchange], None] | None = None
+) -> Generator[Exchange, memoryview, T]:
     """Turn a protocol into a sequence of frames: checks become exchanges, and rounds are transcribed.
 
     Args:
         protocol: The coroutine to run.
         mac_check: The session's check, or None in semi-honest mode.
+        post: Sends what an exchange sends, so that the protocol goes on while it travels; without it all is
+            sent when the reply is asked for.
 
     Raises:
         MacCheckFailed: when a check fails, or when the protocol ends with unchecked openings.
         Wrapped: when an opened number may have wrapped, and carries a valid MAC.
     """
     reply: memoryview | None = None
+    posted: Exchange | None = None
     try:
         while True:
             try:
                 request = protocol.send(reply)
             except Wrapped:
                 if mac_check is not None and mac_check.pending:  # chance, or a lie?
-                    own = mac_check.message()
-                    mac_check.verify((yield Exchange([own], DIGEST_BYTES, 0, is_check=True)))
+                    yield from _checked(mac_check, post)
                 raise
+            reply = None
             if isinstance(request, Check):
-                reply = None
                 if mac_check is not None:
-                    own = mac_check.message()
-                    mac_check.verify((yield Exchange([own], DIGEST_BYTES, 0, is_check=True)))
+                    yield from _checked(mac_check, post)
                 continue
+            if isinstance(request, Post):
+                posted = request
+                _send(posted, post)
+                continue
+            if isinstance(request, Take):
+                if posted is None:
+                    raise ValueError("nothing was posted whose reply could be taken")
+                request, posted = posted, None
             reply = yield request
             if mac_check is not None:
                 mac_check.absorb(request.payload, reply)

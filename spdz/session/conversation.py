@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any
 
 from spdz.channels import Channel, FrameKind
-from spdz.channels.base import check_wait
+from spdz.channels.times import check_wait
 from spdz.foundations.errors import ProtocolViolation
 from spdz.foundations.types import Json
 from spdz.session.agreement import Agreement

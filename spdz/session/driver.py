@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from spdz.channels import Channel, FrameKind
 from spdz.foundations.stats import Stats
 from spdz.rounds.coroutine import Exchange
+
+
+def _kind(request: Exchange) -> FrameKind:
+    return FrameKind.CHECK if request.is_check else FrameKind.DATA
+
+
+def poster(channel: Channel) -> Callable[[Exchange], None]:
+    """What sends an exchange's payload over a channel, for :func:`spdz.rounds.mac_check.drive`."""
+    return lambda request: channel.post(_kind(request), request.payload, request.expect)
 
 
 def run_channel(frames: Generator[Exchange, memoryview, Any], channel: Channel, stats: Stats) -> Any:
@@ -27,8 +36,11 @@ def run_channel(frames: Generator[Exchange, memoryview, Any], channel: Channel, 
         while True:
             stats.rounds += 1
             stats.field_elements_sent += request.elements
-            kind = FrameKind.CHECK if request.is_check else FrameKind.DATA
-            request = frames.send(channel.exchange(kind, request.payload, request.expect))
+            if request.is_posted:
+                reply = channel.take()
+            else:
+                reply = channel.exchange(_kind(request), request.payload, request.expect)
+            request = frames.send(reply)
     except StopIteration as done:
         return done.value
     finally:

@@ -40,7 +40,7 @@ from spdz.rounds.mac_check import drive
 from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.session.agreement import Agreement
 from spdz.session.conversation import Conversing
-from spdz.session.driver import run_channel
+from spdz.session.driver import poster, run_channel
 from spdz.session.handshake import Hello, compare, session_id
 from spdz.tape import Tape, TapeHeader
 
@@ -207,7 +207,8 @@ class Session(Conversing):
                 self._lane(program, code, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)
             ]
             protocol = lanes[0] if len(lanes) == 1 else parallel(*lanes)
-            value = run_channel(drive(protocol, self._agreement.mac_check), self._channel, stats)
+            frames = drive(protocol, self._agreement.mac_check, poster(self._channel))
+            value = run_channel(frames, self._channel, stats)
         return [value] if len(lanes) == 1 else value, stats
 
     def _plan(self, program: Program) -> Plan:
