@@ -13,7 +13,7 @@ from random_programs import draw
 from protocols.scores import SCORES
 from spdz.arithmetic import field
 from spdz.arithmetic.field import P
-from spdz.compiled import shapes, source
+from spdz.compiled import order, shapes, source
 
 
 class Claims:
@@ -23,7 +23,7 @@ class Claims:
         self.seen = Counter()
 
     def __enter__(self):
-        write, line = source.written, source._line
+        write, line = source.written, order.line
 
         def written(trace, result):
             trace.names["claimed"] = self.claimed
@@ -36,7 +36,11 @@ class Claims:
             told = f"{slot.form!r}, {slot.shape}, {slot.bits}, {slot.reduced}"
             return f"{line(one)}; claimed({slot.name}, {told})"
 
-        self.patches = patch("spdz.compiled.record.written", written), patch.object(source, "_line", checked)
+        self.patches = (
+            patch("spdz.compiled.record.written", written),
+            patch.object(source, "line", checked),
+            patch.object(order, "line", checked),
+        )
         for one in self.patches:
             one.start()
         return self

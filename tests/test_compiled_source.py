@@ -115,11 +115,11 @@ def test_what_no_effect_needs_is_left_out():
 
 def test_one_computation_is_written_down_once():
     trace = Trace()
-    a = trace.note("data", form="few", shape=(3,), effect=True)
+    a = trace.note("data", form="few", shape=(3,), kind="effect")
     first, second = (trace.note("[-v for v in {0}]", a, form="few", shape=(3,)) for _ in range(2))
     assert first is second and len(trace.operations) == 2
     assert trace.note("[-v for v in {0}]", a, form="few", shape=(3, 1)) is not first
-    sent = [trace.note("yield {0}", a, form="other", effect=True) for _ in range(2)]
+    sent = [trace.note("yield {0}", a, form="other", kind="effect") for _ in range(2)]
     assert sent[0] is not sent[1]
     assert not a.early and not first.early
 

@@ -29,16 +29,16 @@ class TracedCheck:
         """An opened array and this party's MAC shares."""
         ring, trace, self.pending = self._ring, self._ring.trace, True
         if opened.size == 0 or opened.size > FEW:
-            trace.do("mac_check.record({0}, {1})", ring.array(opened), ring.array(mac))
+            trace.do("mac_check.record({0}, {1})", ring.array(opened), ring.array(mac), kind="record")
             return
         sigma = ring.sub(mac, ring.scaled(opened, self._alpha))
         same = ring.encoded(sigma if self._party == 0 else ring.neg(sigma))
-        trace.do(f"mac_check.record_same({opened.size}, {{0}})", same)
+        trace.do(f"mac_check.record_same({opened.size}, {{0}})", same, kind="record")
 
     def record_bits(self, sigma: Slot) -> None:
         """The MACs of opened bits."""
         self.pending = True
-        self._ring.trace.do("mac_check.record_bits({0})", sigma)
+        self._ring.trace.do("mac_check.record_bits({0})", sigma, kind="record")
 
 
 class TracedParty(Party):
@@ -88,7 +88,7 @@ def _with_data(trace: Trace, source: Input) -> Input:
     size, bits = Slot("", "few", source.shape).size, source.norm.bit_length()
     form: Form = "one" if size == 1 else "few" if size <= FEW else "words"
     text = {"one": "data.item()", "few": "data.tolist()", "words": "data"}[form]
-    data: Any = trace.note(text, form=form, shape=source.shape, bits=bits, reduced=False, effect=True)
+    data: Any = trace.note(text, form=form, shape=source.shape, bits=bits, reduced=False, kind="effect")
     return Input(source.owner, source.shape, source.norm, source.proved, data)
 
 
@@ -99,14 +99,14 @@ def _read(protocol: Any, trace: Trace, party: TracedParty) -> Slot:
         while True:
             request = protocol.send(reply)
             if isinstance(request, Check):
-                trace.do("yield Check()")
+                trace.do("yield Check()", kind="check")
                 party._mac_check.pending = False  # type: ignore[union-attr,misc]
                 reply = None
             elif isinstance(request, Exchange):
                 payload: Any = request.payload
                 buffers = ", ".join(f"{{{i}}}" for i in range(len(payload)))
                 text = f"yield Exchange([{buffers}], {request.expect}, {request.elements})"
-                reply = Received(party.ring, trace.note(text, *payload, form="other", effect=True))  # type: ignore[arg-type]
+                reply = Received(party.ring, trace.note(text, *payload, form="other", kind="exchange"))  # type: ignore[arg-type]
     except StopIteration as done:
         if not isinstance(done.value, Slot):
             raise NotCompiled("the result is not one of the code's") from None

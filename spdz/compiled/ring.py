@@ -67,9 +67,10 @@ class TracedRing(TracedArithmetic):
         if self._is_few(c.shape):
             c = self.reduced(c)
             least = "{0}" if c.form == "one" else "min({0})"
-            self.trace.do(f"if {least} >> {bits} == 0: {refuse}", c)
+            self.trace.do(f"if {least} >> {bits} == 0: {refuse}", c, kind="refusal")
         else:
-            self.trace.do(f"if {self._name(is_below)}({{0}}, {bits}).any(): {refuse}", self.array(c))
+            text = f"if {self._name(is_below)}({{0}}, {bits}).any(): {refuse}"
+            self.trace.do(text, self.array(c), kind="refusal")
 
     # -- inputs --------------------------------------------------------------------------------------
 
@@ -100,7 +101,7 @@ class TracedRing(TracedArithmetic):
             self.trace.do(f"{self._name(kernels.check_hidden)}({checked}, {ends})", difference)
             return self._known(difference, bits)
         text = f"{self._name(kernels.hidden_words)}({{0}}, {{1}}, {ends})"
-        words = self.trace.note(text, x, r, form="words", shape=x.shape, bits=bits, effect=True)
+        words = self.trace.note(text, x, r, form="words", shape=x.shape, bits=bits, kind="effect")
         self._origins[words.name] = (x, r)
         return words
 
@@ -123,10 +124,10 @@ class TracedRing(TracedArithmetic):
             return self.decoded(raw, shape)
         if not self._is_few(shape):
             text = f"{self._name(input_mask.unpack)}({{0}}, {shape}, {bits}, {norm})"
-            return self.trace.note(text, raw.slot, form="words", shape=shape, bits=bits, effect=True)
+            return self.trace.note(text, raw.slot, form="words", shape=shape, bits=bits, kind="effect")
         size = input_mask.element_bytes(bits)
         text = f"{self._name(kernels.words_of)}({{0}}, {size}, {norm}, {(1 << bits) - norm})"
-        words = self.trace.note(text, raw.slot, form="few", shape=shape, bits=bits, effect=True)
+        words = self.trace.note(text, raw.slot, form="few", shape=shape, bits=bits, kind="effect")
         return self._first_or_all(words)
 
     def _first_or_all(self, a: Slot) -> Slot:
@@ -156,14 +157,14 @@ class TracedRing(TracedArithmetic):
         """A peer's elements."""
         if not self._is_few(shape):
             text = f"{self._name(from_bytes)}({{0}}, {shape})"
-            return self.trace.note(text, raw.slot, form="many", shape=shape, effect=True)
+            return self.trace.note(text, raw.slot, form="many", shape=shape, kind="effect")
         slot, count = raw.slot, Slot("", "few", shape).size
         if count == 1:
             return self.trace.note(
-                f"{self._name(kernels.element_of)}({{0}})", slot, form="one", shape=shape, effect=True
+                f"{self._name(kernels.element_of)}({{0}})", slot, form="one", shape=shape, kind="effect"
             )
         text = f"{self._name(kernels.elements_of)}({{0}})"
-        return self.trace.note(text, slot, form="few", shape=shape, effect=True)
+        return self.trace.note(text, slot, form="few", shape=shape, kind="effect")
 
     def call(self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any) -> Any:
         """The kernel on field elements, and on whatever else it is given."""
@@ -185,14 +186,14 @@ class TracedRing(TracedArithmetic):
         """The result."""
         if a.shape == () and not is_bit:
             text = f"{self._name(kernels.decoded_element)}({{0}}, {frac})"
-            return self.trace.note(text, self.reduced(a), form="other", effect=True)
+            return self.trace.note(text, self.reduced(a), form="other", kind="effect")
         text = f"{self._name(_ON_WORDS.opened)}({{0}}, {frac}, is_bit={is_bit})"
-        return self.trace.note(text, self.array(a), form="other", effect=True)
+        return self.trace.note(text, self.array(a), form="other", kind="effect")
 
     def opened_bits(self, bits: Any, shape: Shape) -> Any:
         """The result."""
         text = f"{self._name(_ON_WORDS.opened_bits)}({{0}}, {shape})"
-        return self.trace.note(text, bits, form="other", effect=True)
+        return self.trace.note(text, bits, form="other", kind="effect")
 
 
 class Received:

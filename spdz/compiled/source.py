@@ -10,21 +10,23 @@ from __future__ import annotations
 import re
 import types
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import Any
 
 from spdz.arithmetic.field import P, to_list
+from spdz.compiled.order import line, lines, needed
 from spdz.compiled.slots import Slot
-from spdz.compiled.trace import Operation, Trace
+from spdz.compiled.trace import Trace
 from spdz.foundations.errors import TapeDamaged
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import IntArray, Security
 from spdz.readings.streams import JobStream
-from spdz.rounds.coroutine import Check, Exchange, Request
+from spdz.rounds.coroutine import TAKE, Check, Exchange, Post, Request
 from spdz.rounds.mac_check import MacCheck, unrecorded
 
 _PLACE = re.compile(r"<(pad|stored) (\d+) (\d+)>")
+_REQUESTS = {"Check": Check, "Exchange": Exchange, "Post": Post, "TAKE": TAKE}
 _GAP = 8
 """Elements between two draws that are converted along with them: cheaper than another call."""
 
@@ -86,39 +88,24 @@ class Straight:
 
 def written(trace: Trace, result: Slot) -> Code:
     """Compile what was written down."""
-    needed = _needed(trace.operations, result)
-    early = [one for one in needed if one.target is not None and one.target.early]
-    later = [one for one in needed if one.target is None or not one.target.early]
+    kept = needed(trace.operations, result)
+    early = [one for one in kept if one.target is not None and one.target.early]
+    later = [one for one in kept if one.target is None or not one.target.early]
     made = [one.target.name for one in early if one.target is not None]
     read = {slot.name for one in later for slot in one.operands}
     handed = f"({''.join(f'{name}, ' for name in made if name in read)})"
-    lines = [
+    functions = [
         "def ahead(stream, alpha):",
         *_indented("pad, stored = stream.elements"),
-        *_indented(*_reads([_line(one) for one in early]), f"return {handed}"),
+        *_indented(*_reads([line(one) for one in early]), f"return {handed}"),
         "",
         "def online(early, alpha, mac_check, data):",
-        *_indented(f"{handed} = early", *map(_line, later), f"return {result.name}"),
+        *_indented(f"{handed} = early", *lines(later), f"return {result.name}"),
     ]
-    source = "\n".join(lines) + "\n"
-    space: dict[str, Any] = {**trace.names, "P": P, "to_list": to_list, "Check": Check, "Exchange": Exchange}
+    source = "\n".join(functions) + "\n"
+    space: dict[str, Any] = {**trace.names, "P": P, "to_list": to_list, **_REQUESTS}
     exec(compile(source, "<compiled program>", "exec"), space)
     return Code(source, space["ahead"], types.coroutine(space["online"]))
-
-
-def _needed(operations: Iterable[Operation], result: Slot) -> list[Operation]:
-    """What an effect or the result depends on, in order."""
-    names, kept = {result.name}, []
-    for one in reversed(list(operations)):
-        if one.effect or (one.target is not None and one.target.name in names):
-            names.update(slot.name for slot in one.operands)
-            kept.append(one)
-    return kept[::-1]
-
-
-def _line(one: Operation) -> str:
-    text = one.text.format(*(slot.name for slot in one.operands))
-    return text if one.target is None else f"{one.target.name} = {text}"
 
 
 def _indented(*lines: str) -> list[str]:

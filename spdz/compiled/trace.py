@@ -9,10 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from spdz.compiled.slots import Form, Slot
 from spdz.foundations.types import Shape
+
+Kind = Literal["value", "effect", "record", "refusal", "exchange", "check"]
+"""A *value* is computed; an *effect* may refuse to go on, or changes something; a *record* tells the check
+what was opened; a *refusal* (``if ..: raise ..``) has what was recorded checked first; an *exchange* is a
+frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +28,13 @@ class Operation:
         target: The variable that it sets; None for a statement.
         text: Python, with ``{0}``, ``{1}`` .. for the operands.
         operands: What it reads.
-        effect: Whether it must be done, and in this order with others.
+        kind: What it is for (see :data:`Kind`).
     """
 
     target: Slot | None
     text: str
     operands: tuple[Slot, ...]
-    effect: bool
+    kind: Kind
 
 
 class Trace:
@@ -50,25 +55,25 @@ class Trace:
         shape: Shape = (),
         bits: int = 127,
         reduced: bool = True,
-        effect: bool = False,
+        kind: Kind = "value",
         early: bool | None = None,
     ) -> Slot:
         """Write down an operation that sets a variable; returns the variable."""
         key = (text, form, shape, *(operand.name for operand in operands))
-        if not effect and key in self._known:
+        if kind == "value" and key in self._known:
             return self._known[key]
         if early is None:
-            early = not effect and all(operand.early for operand in operands)
+            early = kind == "value" and all(operand.early for operand in operands)
         self._count += 1
         target = Slot(f"v{self._count}", form, shape, bits, reduced, early)
-        self.operations.append(Operation(target, text, operands, effect))
-        if not effect:
+        self.operations.append(Operation(target, text, operands, kind))
+        if kind == "value":
             self._known[key] = target
         return target
 
-    def do(self, text: str, *operands: Slot) -> None:
+    def do(self, text: str, *operands: Slot, kind: Kind = "effect") -> None:
         """Write down a statement."""
-        self.operations.append(Operation(None, text, operands, effect=True))
+        self.operations.append(Operation(None, text, operands, kind))
 
     def named(self, what: Any) -> str:
         """A name for an object, in the texts: numbered, so that it hides no builtin and no variable."""
