@@ -43,21 +43,30 @@ def deal(
         _deal_payload(fixed_key_hash, seeds, path, flips, payload[part], payload_words[:, :, part])
 
 
-def evaluate(
-    fixed_key_hash: FixedKeyHash, party: int, roots: Block, key: Words, points: Block, bits: int, w: int
-) -> Words:
-    """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (n, k, w, 4)."""
-    n, k = points.shape[:2]
-    seed_words, payload_words = _correction_words(key, n, bits, w)
-    sums = np.empty((n, k, w, 4), dtype=np.uint64)
-    for keys, part in tiles(n, k, _CHUNK):
-        directions = _top_bits(points[keys, part].reshape(-1, 2), bits)
-        seeds = np.empty((bits + 1, directions.shape[1], 2), dtype=np.uint64)
-        tile = sums[keys, part]
-        _set_root(party, roots[keys, None], seeds[0].reshape(*tile.shape[:2], 2))
-        _walk(fixed_key_hash, seeds, directions, seed_words[:, keys], payload_words[:-1, 0, keys])
-        tile[...] = _payload_sums(fixed_key_hash, seeds, payload_words[:, :, keys]).reshape(tile.shape)
-    return sums
+class BinaryKey:
+    """The keys of a batch, for one party: as :class:`spdz.dcf.radix_key.RadixKey`."""
+
+    __slots__ = ("_bits", "_hash", "_party", "_payload_words", "_roots", "_seed_words")
+
+    def __init__(
+        self, fixed_key_hash: FixedKeyHash, party: int, roots: Block, key: Words, bits: int, w: int
+    ) -> None:
+        self._hash, self._party, self._roots, self._bits = fixed_key_hash, party, roots, bits
+        self._seed_words, self._payload_words = _correction_words(key, len(roots), bits, w)
+
+    def sums(self, points: Block) -> Words:
+        """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (w, n, k, 4)."""
+        n, k = points.shape[:2]
+        sums = np.empty((self._payload_words.shape[1], n, k, 4), dtype=np.uint64)
+        for keys, part in tiles(n, k, _CHUNK):
+            directions = _top_bits(points[keys, part].reshape(-1, 2), self._bits)
+            seeds = np.empty((self._bits + 1, directions.shape[1], 2), dtype=np.uint64)
+            tile = sums[:, keys, part]
+            _set_root(self._party, self._roots[keys, None], seeds[0].reshape(*tile.shape[1:3], 2))
+            payload_words = self._payload_words[:, :, keys]
+            _walk(self._hash, seeds, directions, self._seed_words[:, keys], payload_words[:-1, 0])
+            tile[...] = _payload_sums(self._hash, seeds, payload_words).reshape(tile.shape)
+        return sums
 
 
 def _each(words: Words, paths: int) -> Words:
@@ -97,7 +106,7 @@ def _walk(
 
 
 def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> Words:
-    """Sum the payload of all nodes, in base 2^32: shape (n k, w, 4)."""
+    """Sum the payload of all nodes, in base 2^32: shape (w, n k, 4)."""
     levels, paths = seeds.shape[:2]
     w, n = words.shape[1:3]
     group = group_size(paths * w, levels)
@@ -119,7 +128,7 @@ def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> W
                 np.bitwise_and(each, masks[..., half], out=corrections[..., half])
         blocks ^= corrections
         sums += base32_sums(blocks, axis=0)
-    return np.asarray(sums.swapaxes(0, 1))
+    return sums
 
 
 def _deal_path(fixed_key_hash: FixedKeyHash, seeds: Block, path: Words, seed_words: Block) -> Words:

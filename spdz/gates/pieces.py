@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 
-from spdz.arithmetic import field, inner_product
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.field import P
+from spdz.arithmetic.unreduced import Weights
 from spdz.foundations.types import BigIntArray, Block, Shape
 
 HALF = (P + 1) // 2
@@ -88,9 +87,9 @@ class Pieces:
         return tuple((place.get(f.constants[1:]), place.get(f.slopes[1:])) for f in self.functions)
 
     @cached_property
-    def weights(self) -> Any:
-        """:attr:`jumps` split for products, shape (rows, 1, k)."""
-        return inner_product.limbs(field.from_ints(self.jumps)[:, None])
+    def weights(self) -> Weights:
+        """:attr:`jumps` as they weigh what a key gives."""
+        return Weights(self.jumps)
 
     @cached_property
     def public(self) -> tuple[tuple[int, int], ...]:
