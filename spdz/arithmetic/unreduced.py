@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import product
 
 import numpy as np
 
@@ -20,10 +21,13 @@ from spdz.foundations.types import FieldArray, FloatArray, IntArray
 INTEGER_BITS = 160
 """No number is longer as a Python integer."""
 
+MOST_TERMS = (1 << 12) - 1
+"""Longest row of :class:`Weights`."""
+
 _ROOM = 1 << 60
 _SMALL = 1 << 20
-_MOST_TERMS = 1 << 9  # weighed at a time: see _products
-_16, _LOW16 = np.int64(16), np.int64((1 << 16) - 1)
+_EXACT = 53  # float64 represents all integers of so many bits
+_CUT = 18
 
 
 def _offset() -> IntArray:
@@ -54,12 +58,12 @@ def integers(numbers: IntArray) -> list[int]:
     return [w0 + (w1 << 32) + (w2 << 64) + (w3 << 96) for w0, w1, w2, w3 in rows]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Weights:
     """Rows of public weights for :func:`weigh`, split once.
 
     Attributes:
-        rows: Integers, all rows of one length k.
+        rows: Integers, all rows of one length k, at most MOST_TERMS.
     """
 
     rows: Sequence[Sequence[int]] = attribute(repr=False)
@@ -75,85 +79,72 @@ class Weights:
         column = [row[0] for row in self.centred if len(row) == 1 and abs(row[0]) < _SMALL]
         return np.array(column).reshape(-1, 1, 1) if len(column) == len(self.rows) else None
 
-    @cached_property
-    def limbs(self) -> FloatArray:
-        """Limbs in base 2^16, the lowest first, the highest signed: shape (rows m, k)."""
-        most = max(abs(weight) for row in self.centred for weight in row)
-        count = most.bit_length() // 16 + 1
-        split = [
-            [weight >> 16 * a & 0xFFFF if a < count - 1 else weight >> 16 * a for weight in row]
-            for row in self.centred
-            for a in range(count)
-        ]
-        return np.array(split, dtype=np.float64)
 
-    @cached_property
-    def fold(self) -> FloatArray:
-        """Limb a of a weight times part q of a word i, row 8 a + 4 q + i, to column a + 2 i + q mod 8.
-
-        A column from 8 on counts twice, since 2^128 = 2.
-        """
-        count = len(self.limbs) // len(self.rows)
-        matrix = np.zeros((8 * count, 8))
-        for a in range(count):
-            for q in range(2):
-                for i in range(4):
-                    place = a + 2 * i + q
-                    matrix[8 * a + 4 * q + i, place % 8] = 1 << place // 8
-        return matrix
-
-
-def weigh(weights: Weights, signs: IntArray, numbers: IntArray, half: IntArray) -> IntArray:
+def weigh(weights: Weights, signs: IntArray, numbers: IntArray, half: IntArray, bits: int) -> IntArray:
     """The sums ``sum_i weights_i signs_i (numbers_i - half)`` over k terms, for every row of weights.
 
     Args:
         weights: The weights.
         signs: 1 or -1, shape (n, k).
-        numbers: Words below 2^39 in size, shape (columns, n, k, 4).
+        numbers: Words, shape (columns, n, k, 4).
         half: Words of elements, shape (columns, n, 1, 4).
+        bits: Words and their differences from half are below 2^bits in size: at most 40.
 
     Returns:
         Words below 2^60 in size, shape (rows, columns, n, 4).
     """
     columns, n, k = numbers.shape[:3]
     if (small := weights.small) is not None:
-        # Below (2^39 + 2^32) 2^20 < 2^60.
-        sides = signs.reshape(-1).repeat(4)
+        # Below 2^40 2^20.
         less = (numbers - half).reshape(columns, 4 * n)
-        less *= sides
+        less *= signs.reshape(-1).repeat(4)
         return (less * small).reshape(len(small), columns, n, 4)
-    total = np.zeros((len(weights.rows), columns, n, 4), dtype=np.int64)
-    for start in range(0, k, _MOST_TERMS):
-        part = slice(start, start + _MOST_TERMS)
-        total += _products(weights, signs[:, part], numbers[:, :, part], half, part)
-    return total
+    return _weighed(weights, signs.astype(np.float64), numbers, half, _EXACT - bits - k.bit_length())
 
 
-def _products(weights: Weights, signs: IntArray, numbers: IntArray, half: IntArray, part: slice) -> IntArray:
-    """:func:`weigh` for some of the terms, as one small floating-point product a column and key (BLAS).
+def _weighed(weights: Weights, signs: FloatArray, numbers: IntArray, half: IntArray, limb: int) -> IntArray:
+    """:func:`weigh` as small floating-point products (BLAS), of weights in limbs of so many bits.
 
-    Exact: a limb is at most 2^16 and half a word 2^23 in size. So 2^9 terms are below 2^48, their halves no
-    more than another 2^48, and a column takes at most 8 of such sums, twice: 2^53.
+    Exact: of k terms, limbs below 2^limb times words below 2^bits add up to less than k 2^(limb + bits) <
+    2^53, and so do those with half and the differences.
     """
-    signed = weights.limbs[:, part] * signs[:, np.newaxis]
-    products = signed @ _split(numbers)
-    products -= signed.sum(axis=-1)[..., np.newaxis] * _split(half)
-    columns, n = products.shape[:2]
-    folded = products.reshape(columns, n, len(weights.rows), -1) @ weights.fold
-    digits = folded.astype(np.int64)
-    carries = digits >> _16
-    digits &= _LOW16
-    digits[..., 1:] += carries[..., :-1]
-    digits[..., 0] += carries[..., -1] << np.int64(1)
-    # Below 2^38 + 2^16, so a word is below 2^55.
-    result = digits[..., 1::2] << _16
-    result += digits[..., ::2]
-    return np.moveaxis(result, 2, 0)
+    limbs, fold = _split(weights, limb)
+    sums = (limbs * signs[:, np.newaxis]) @ numbers.astype(np.float64)
+    sums -= (signs @ limbs.T)[..., np.newaxis] * half
+    columns, n = sums.shape[:2]
+    parts = np.empty((columns, n, 3, *sums.shape[2:]))
+    low, middle, high = (parts[:, :, part] for part in range(3))
+    np.floor(sums * 2.0 ** (-2 * _CUT), out=high)
+    sums -= high * 2.0 ** (2 * _CUT)
+    np.floor(sums * 2.0**-_CUT, out=middle)
+    np.subtract(sums, middle * 2.0**_CUT, out=low)
+    # Each part is at most 2^18 in size. A digit adds up no more than one of each limb's and cut's, 3 * 127 <
+    # 2^9 of them, times 2^16: below 2^43. So a word is below 2^43 + 2^59.
+    digits = (parts.reshape(columns, n, -1) @ fold).astype(np.int64).reshape(columns, n, -1, 8)
+    words = digits[..., 1::2] << np.int64(16)
+    words += digits[..., ::2]
+    return np.moveaxis(words, 2, 0)
 
 
-def _split(numbers: IntArray) -> FloatArray:
-    """The lowest 16 bits of the words, then what is above them: shape S + (4,) to S + (8,)."""
-    parts = np.empty((*numbers.shape[:-1], 8))
-    np.bitwise_and(numbers, _LOW16, out=parts[..., :4], casting="unsafe")
-    np.right_shift(numbers, _16, out=parts[..., 4:], casting="unsafe")
-    return parts
+@lru_cache(maxsize=256)
+def _split(weights: Weights, limb: int) -> tuple[FloatArray, FloatArray]:
+    """Limbs of ``limb`` bits, and what becomes of their products with words.
+
+    Returns:
+        Limbs of all rows, of each the lowest first and the highest signed: shape (m, k). And a matrix
+        (12 m, 8 rows) from the products of a row's limb a and word i, which weigh 2^(a limb + 32 i), all of
+        them cut in three, to the row's digits in base 2^16; from 2^128 on, 2^128 = 2.
+    """
+    limbs: list[list[int]] = []
+    places: list[tuple[int, int]] = []
+    for r, row in enumerate(weights.centred):
+        last = max(map(abs, row)).bit_length() // limb
+        for a in range(last + 1):
+            shifted = [weight >> a * limb for weight in row]
+            limbs.append(shifted if a == last else [one & (1 << limb) - 1 for one in shifted])
+            places.append((r, a * limb))
+    fold = np.zeros((3, len(limbs), 4, len(weights.rows), 8))
+    for cut, (m, (r, at)), i in product(range(3), enumerate(places), range(4)):
+        place = cut * _CUT + at + 32 * i
+        fold[cut, m, i, r, place // 16 % 8] = 1 << place % 16 + place // 128
+    return np.array(limbs, dtype=np.float64), fold.reshape(12 * len(limbs), -1)

@@ -54,12 +54,17 @@ class BinaryKey:
         self._hash, self._party, self._roots, self._bits = fixed_key_hash, party, roots, bits
         self._seed_words, self._payload_words = _correction_words(key, len(roots), bits, w)
 
+    @property
+    def levels(self) -> int:
+        """How many blocks a payload's sum has."""
+        return self._bits + 1
+
     def sums(self, points: Block) -> Words:
         """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (w, n, k, 4)."""
         n, k = points.shape[:2]
         sums = np.empty((self._payload_words.shape[1], n, k, 4), dtype=np.uint64)
         for keys, part in tiles(n, k, _CHUNK):
-            directions = _top_bits(points[keys, part].reshape(-1, 2), self._bits)
+            directions = _top_bits(points[keys, part].reshape(-1, points.shape[2]), self._bits)
             seeds = np.empty((self._bits + 1, directions.shape[1], 2), dtype=np.uint64)
             tile = sums[:, keys, part]
             _set_root(self._party, self._roots[keys, None], seeds[0].reshape(*tile.shape[1:3], 2))
@@ -233,7 +238,8 @@ def _top_bits(numbers: Block, bits: int) -> Words:
     result = np.empty((bits, len(numbers)), dtype=np.uint64)
     shifts = np.arange(64 - bits, 64, dtype=np.int64)[:, None]
     high = max(bits - 64, 0)
-    np.left_shift(numbers[:, 1], (shifts[:high] + 64).view(np.uint64), out=result[:high])
+    if high:
+        np.left_shift(numbers[:, 1], (shifts[:high] + 64).view(np.uint64), out=result[:high])
     np.left_shift(numbers[:, 0], shifts[high:].view(np.uint64), out=result[high:])
     result &= TOP
     return result

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spdz.dcf.evaluation import Key, opened
-from spdz.dcf.format import HEADER, WORD, check_blocks
+from spdz.dcf.format import HEADER, WORD
 from spdz.foundations.types import Block, Buffer, IntArray
 
 BINARY = 1
@@ -54,11 +54,17 @@ class Keys:
         ]
         object.__setattr__(self, "_opened", ready)
 
+    @property
+    def sum_bits(self) -> int:
+        """Words of sums, and their differences from those of elements, are below 2^sum_bits in size."""
+        return 32 + max(key.levels for key in self._opened).bit_length()
+
     def sums(self, points: Block) -> IntArray:
         """This party's shares of beta [x < a] at k points an entry, as numbers that are not reduced.
 
         Args:
-            points: The public x, ``uint64`` of shape (n, k, 2); bits from ``bits`` on are not looked at.
+            points: The public x, ``uint64`` of shape (n, k, 2), or (n, k, 1) if one word holds ``bits`` bits.
+                Higher bits are not looked at.
 
         Returns:
             Signed numbers in base 2^32 (:mod:`spdz.arithmetic.unreduced`), below 2^39 in size: shape
@@ -67,7 +73,8 @@ class Keys:
         Raises:
             ValueError: for points of another shape.
         """
-        check_blocks("points", points, (len(self.roots), *points.shape[1:2]))
+        if points.ndim != 3 or len(points) != len(self.roots) or 64 * points.shape[2] < self.bits:
+            raise ValueError(f"{len(self.roots)} keys of {self.bits} bits cannot take {points.shape}")
         order = self.order
         points = points if order is None else points[order]
         parts = [key.sums(points[keys]) for (keys, _), key in zip(self.batches, self._opened, strict=True)]

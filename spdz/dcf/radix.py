@@ -35,7 +35,8 @@ def deal(
     n, w = payload.shape[:2]
     digit_bits = digit_width(n)
     child_words, payload_words = correction_words(key, n, bits, w)
-    digits = digits_of(threshold, bits, digit_bits)
+    digits = np.empty((level_count(bits, digit_bits), n), dtype=np.uint64)
+    write_digits(threshold, bits, digit_bits, digits)
     states = _deal_path(fixed_key_hash, roots, digits, child_words)
     _deal_payload(fixed_key_hash, states, digits, payload, payload_words)
 
@@ -119,16 +120,14 @@ def kinds(w: int) -> Words:
     return kinds
 
 
-def digits_of(numbers: Block, bits: int, digit_bits: int) -> Words:
+def write_digits(numbers: Block, bits: int, digit_bits: int, out: Words) -> None:
     """The digits of the lowest ``bits`` bits of n numbers, the most significant first: shape (levels, n)."""
     high_shifts, low_shifts, masks = _places(bits, digit_bits)
-    result = np.empty((len(masks), len(numbers)), dtype=np.uint64)
     high = len(high_shifts)
     if high:
-        np.right_shift(numbers[:, 1], high_shifts, out=result[:high])
-    np.right_shift(numbers[:, 0], low_shifts, out=result[high:])
-    result &= masks
-    return result
+        np.right_shift(numbers[:, 1], high_shifts, out[:high])
+    np.right_shift(numbers[:, 0], low_shifts, out[high:])
+    np.bitwise_and(out, masks, out)
 
 
 @lru_cache(maxsize=256)

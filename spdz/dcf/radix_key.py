@@ -16,12 +16,11 @@ from spdz.dcf.format import (
     SIGN,
     Words,
     base32_sums,
-    control_masks,
     digit_width,
     hash_in_place,
     tiles,
 )
-from spdz.dcf.radix import correction_words, digits_of, kinds, root
+from spdz.dcf.radix import correction_words, kinds, root, write_digits
 from spdz.foundations.types import Block, IntArray
 
 _TILE = 16384  # payload blocks at a time (measured)
@@ -51,6 +50,11 @@ class RadixKey:
         self._children, self._payload = children.reshape(-1, 2), payload.reshape(w, -1, 2)
         self._first_row = _first_rows(*payload.shape[1:4])
 
+    @property
+    def levels(self) -> int:
+        """How many blocks a payload's sum has."""
+        return len(self._first_row)
+
     def sums(self, points: Block) -> Words:
         """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (w, n, k, 4)."""
         n, k = points.shape[:2]
@@ -64,41 +68,47 @@ class RadixKey:
 
     def _tile(self, points: Block, keys: slice) -> Words:
         n, k = points.shape[:2]
-        digits = digits_of(points.reshape(-1, 2), self._bits, self._digit_bits)
-        levels, paths = digits.shape
-        rows = (digits.view(np.int64).reshape(levels, n, k) + self._first_row[:, keys]).reshape(levels, paths)
+        levels, paths = len(self._first_row), n * k
         nodes = np.zeros((levels, paths, 2), dtype=np.uint64)
-        nodes[..., 0] = digits
-        first = nodes[0].reshape(n, k, 2)
-        first ^= self._start[keys]
-        self._walk(nodes, self._children.take(rows[:-1], axis=0))
-        return self._payload_sums(nodes, self._payload.take(rows, axis=1)).reshape(-1, n, k, 4)
+        write_digits(points.reshape(paths, -1), self._bits, self._digit_bits, nodes[..., 0])
+        each = nodes.reshape(levels, n, k, 2)
+        rows = (each[..., 0].view(np.int64) + self._first_row[:, keys]).reshape(levels, paths)
+        each[0] ^= self._start[keys]
+        controls = self._walk(nodes, self._children.take(rows[:-1], axis=0))
+        return self._payload_sums(nodes, controls, self._payload.take(rows, axis=1)).reshape(-1, n, k, 4)
 
-    def _walk(self, nodes: Block, corrections: Block) -> None:
-        """Turn digits (levels, paths, 2), the first with the root seed XORed, into seeds ^ digits."""
+    def _walk(self, nodes: Block, corrections: Block) -> Block:
+        """Turn digits (levels, paths, 2), the first with the root seed XORed, into seeds ^ digits.
+
+        Returns:
+            The control bits as masks of the halves, of the same shape.
+        """
         size = nodes[0].nbytes
         source, permute = nodes.reshape(-1).view(np.uint8).data, self._hash.permute
         scratch = np.empty(size + 16, dtype=np.uint8)
         permuted, room = scratch[:size].view(np.uint64).reshape(nodes.shape[1:]), scratch.data
-        control = np.empty(nodes.shape[1:], dtype=np.int64)
-        corrected = control.view(np.uint64)
+        controls, corrected = np.empty_like(nodes), np.empty_like(nodes[0])
+        signed, signs = nodes.view(np.int64), controls.view(np.int64)
         xor, bitwise_and, right_shift = np.bitwise_xor, np.bitwise_and, np.right_shift
         at = 0
-        levels = zip(nodes, nodes.view(np.int64)[:-1], nodes[1:], corrections, strict=False)
-        for node, signed, child, correction in levels:
+        levels = zip(nodes, signed, controls, signs, nodes[1:], corrections, strict=False)
+        for node, high, control, sign, child, correction in levels:
             permute(source[at : at + size], room)
             at += size
-            right_shift(signed, SIGN, control)
-            bitwise_and(corrected, correction, corrected)
+            right_shift(high, SIGN, sign)
+            bitwise_and(control, correction, corrected)
             xor(corrected, node, corrected)
             xor(corrected, permuted, corrected)
             xor(corrected, child, child)
+        right_shift(signed[-1], SIGN, signs[-1])
+        return controls
 
-    def _payload_sums(self, nodes: Block, words: Block) -> Words:
+    def _payload_sums(self, nodes: Block, controls: Block, words: Block) -> Words:
         """Sum the payload of nodes (levels, paths, 2), corrected by ``words``: shape (w, paths, 4)."""
         blocks = np.bitwise_xor(nodes, _tweaks(len(words), nodes.shape[1]))
         hash_in_place(self._hash, blocks)
-        np.bitwise_and(words, control_masks(nodes), out=words)
+        controls[..., 0] = controls[..., 1]
+        np.bitwise_and(words, controls, out=words)
         np.bitwise_xor(blocks, words, out=blocks)
         return base32_sums(blocks, axis=1)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.field import P
-from spdz.arithmetic.unreduced import Weights
+from spdz.arithmetic.unreduced import MOST_TERMS, Weights
 from spdz.foundations.types import BigIntArray, Block, Shape
 
 HALF = (P + 1) // 2
@@ -54,6 +54,8 @@ class Pieces:
         jumps = {len(column) - 1 for f in functions for column in (f.constants, f.slopes)}
         if jumps != {len(self.thresholds)} or list(self.thresholds) != sorted(set(self.thresholds)):
             raise ValueError("thresholds must ascend, and every function have one jump a threshold")
+        if len(self.thresholds) > MOST_TERMS:
+            raise ValueError(f"at most {MOST_TERMS} thresholds, not {len(self.thresholds)}")
 
     def __repr__(self) -> str:
         return f"Pieces({self.thresholds}, {self.functions})"

@@ -132,12 +132,14 @@ def _columns(width: int, *halves: FieldArray) -> IntArray:
 
 def _sums(pieces: Pieces, bits: int, eps: FieldArray, keys: Keys, halves: IntArray) -> IntArray:
     """Steps 1 and 2: the weighted sums over the thresholds, as words (jumps, columns, n, 4)."""
-    points = _minus(eps.reshape(-1, 1, 2), pieces.words)
-    return weigh(pieces.weights, _signs(points, bits), keys.sums(points), halves)
+    points = _minus(eps.reshape(-1, 1, 2), pieces.words, bits)
+    return weigh(pieces.weights, _signs(points, bits), keys.sums(points), halves, keys.sum_bits)
 
 
-def _minus(a: FieldArray, b: FieldArray) -> FieldArray:
-    """``a - b`` mod 2^128, on words."""
+def _minus(a: FieldArray, b: FieldArray, bits: int) -> FieldArray:
+    """``a - b`` mod 2^64 for up to 64 bits, one word, else mod 2^128."""
+    if bits <= 64:
+        return np.asarray(a[..., :1] - b[..., :1])
     result = np.asarray(a - b)
     result[..., 1] -= a[..., 0] < b[..., 0]
     return result
