@@ -110,7 +110,7 @@ def _weighed(weights: Weights, signs: FloatArray, numbers: IntArray, half: IntAr
     """
     limbs, fold = _split(weights, limb)
     sums = (limbs * signs[:, np.newaxis]) @ numbers.astype(np.float64)
-    sums -= (signs @ limbs.T)[..., np.newaxis] * half
+    sums -= (signs @ limbs.T)[..., np.newaxis] * half.astype(np.float64)
     columns, n = sums.shape[:2]
     parts = np.empty((columns, n, 3, *sums.shape[2:]))
     low, middle, high = (parts[:, :, part] for part in range(3))
@@ -123,7 +123,7 @@ def _weighed(weights: Weights, signs: FloatArray, numbers: IntArray, half: IntAr
     digits = (parts.reshape(columns, n, -1) @ fold).astype(np.int64).reshape(columns, n, -1, 8)
     words = digits[..., 1::2] << np.int64(16)
     words += digits[..., ::2]
-    return np.moveaxis(words, 2, 0)
+    return words.transpose(2, 0, 1, 3)
 
 
 @lru_cache(maxsize=256)

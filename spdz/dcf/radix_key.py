@@ -86,26 +86,27 @@ class RadixKey:
         size = nodes[0].nbytes
         source, permute = nodes.reshape(-1).view(np.uint8).data, self._hash.permute
         scratch = np.empty(size + 16, dtype=np.uint8)
-        permuted, room = scratch[:size].view(np.uint64).reshape(nodes.shape[1:]), scratch.data
-        controls, corrected = np.empty_like(nodes), np.empty_like(nodes[0])
-        signed, signs = nodes.view(np.int64), controls.view(np.int64)
+        signed = nodes.view(np.int64)
+        controls, node = np.empty_like(signed), signed[0]
+        corrected, permuted, room = np.empty_like(node), scratch[:size].view(np.int64), scratch.data
+        permuted = permuted.reshape(node.shape)
         xor, bitwise_and, right_shift = np.bitwise_xor, np.bitwise_and, np.right_shift
         at = 0
-        levels = zip(nodes, signed, controls, signs, nodes[1:], corrections, strict=False)
-        for node, high, control, sign, child, correction in levels:
+        for control, correction, child in zip(controls, corrections.view(np.int64), signed[1:], strict=False):
             permute(source[at : at + size], room)
             at += size
-            right_shift(high, SIGN, sign)
+            right_shift(node, SIGN, control)
             bitwise_and(control, correction, corrected)
             xor(corrected, node, corrected)
             xor(corrected, permuted, corrected)
             xor(corrected, child, child)
-        right_shift(signed[-1], SIGN, signs[-1])
-        return controls
+            node = child
+        right_shift(node, SIGN, controls[-1])
+        return controls.view(np.uint64)
 
     def _payload_sums(self, nodes: Block, controls: Block, words: Block) -> Words:
         """Sum the payload of nodes (levels, paths, 2), corrected by ``words``: shape (w, paths, 4)."""
-        blocks = np.bitwise_xor(nodes, _tweaks(len(words), nodes.shape[1]))
+        blocks = np.bitwise_xor(nodes, _tweaks(len(words), *nodes.shape[:2]))
         hash_in_place(self._hash, blocks)
         controls[..., 0] = controls[..., 1]
         np.bitwise_and(words, controls, out=words)
@@ -121,10 +122,10 @@ def _first_rows(levels: int, n: int, radix: int) -> IntArray:
     return rows
 
 
-@lru_cache(maxsize=16)
-def _tweaks(w: int, paths: int) -> Block:
-    """What tells the payloads apart, shape (w, 1, paths, 2), as inner loops of 2 are slow."""
-    tweaks = np.zeros((w, 1, paths, 2), dtype=np.uint64)
+@lru_cache(maxsize=8)
+def _tweaks(w: int, levels: int, paths: int) -> Block:
+    """What tells the payloads apart, shape (w, levels, paths, 2): to spread it costs as much as to hash it."""
+    tweaks = np.zeros((w, levels, paths, 2), dtype=np.uint64)
     tweaks[..., 0] = kinds(w)[:, None, None]
     tweaks.flags.writeable = False
     return tweaks
