@@ -10,7 +10,6 @@ from spdz.dcf.format import (
     SIGN,
     TOP,
     Words,
-    base32_sums,
     chunks,
     control_masks,
     group_size,
@@ -20,7 +19,7 @@ from spdz.dcf.format import (
 from spdz.foundations.types import Block, FieldArray
 
 _CHUNK = 2048  # paths at a time: their seeds on all levels stay near the second-level cache (measured)
-_ONE, _63 = np.uint64(1), np.uint64(63)
+_ONE, _32, _63 = np.uint64(1), np.uint64(32), np.uint64(63)
 
 
 def deal(
@@ -116,7 +115,8 @@ def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> W
     w, n = words.shape[1:3]
     group = group_size(paths * w, levels)
     tweaks = _payload_tweaks(w, paths)
-    sums = np.zeros((w, paths, 4), dtype=np.uint64)
+    # Whole words wrap; less the upper halves, what is left of their sum is below 2^64.
+    whole, upper = np.zeros((2, w, paths, 2), dtype=np.uint64)
     workspace = np.empty((2, group, w, paths, 2), dtype=np.uint64)
     for start in range(0, levels, group):
         part = slice(start, start + group)
@@ -132,8 +132,19 @@ def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> W
                 each = _each(words[part, ..., half], paths)
                 np.bitwise_and(each, masks[..., half], out=corrections[..., half])
         blocks ^= corrections
-        sums += base32_sums(blocks, axis=0)
-    return sums
+        whole += _total(blocks)
+        np.right_shift(blocks, _32, out=blocks)
+        upper += _total(blocks)
+    sums = np.empty((w, paths, 2, 2), dtype=np.uint64)
+    sums[..., 1] = upper
+    np.subtract(whole, np.left_shift(upper, _32, out=upper), out=sums[..., 0])
+    return sums.reshape(w, paths, 4)
+
+
+def _total(blocks: Block) -> Words:
+    """The sum over the first axis; of large batches there is one level at a time, which need not be copied."""
+    total: Words = blocks[0] if len(blocks) == 1 else np.add.reduce(blocks, axis=0)
+    return total
 
 
 def _deal_path(fixed_key_hash: FixedKeyHash, seeds: Block, path: Words, seed_words: Block) -> Words:
