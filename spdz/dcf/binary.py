@@ -142,7 +142,7 @@ def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> W
 
 
 def _total(blocks: Block) -> Words:
-    """The sum over the first axis; of large batches there is one level at a time, which need not be copied."""
+    """The sum over the first axis; a single level, as of large batches, need not be copied."""
     total: Words = blocks[0] if len(blocks) == 1 else np.add.reduce(blocks, axis=0)
     return total
 

@@ -1,8 +1,8 @@
 """Evaluating trees of radix 4 and 16; the construction is in the package's docstring.
 
 With few keys NumPy's calls are what costs. So all that depends on the key alone is done once, and a level is
-six calls: one of AES and five on all paths. Sharing the nodes that neighbouring points have in common halves
-the AES calls of 124 points, but finding them costs as much as it saves (measured).
+six calls: one of AES and five on all paths. (Half of the nodes of 124 geometric thresholds are shared by
+neighbours; to find them costs about what they cost.)
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _first_rows(levels: int, n: int, radix: int) -> IntArray:
 
 @lru_cache(maxsize=8)
 def _tweaks(w: int, levels: int, paths: int) -> Block:
-    """What tells the payloads apart, shape (w, levels, paths, 2): to spread it costs as much as to hash it."""
+    """What tells the payloads apart, spread over (w, levels, paths, 2): to broadcast costs twice as much."""
     tweaks = np.zeros((w, levels, paths, 2), dtype=np.uint64)
     tweaks[..., 0] = kinds(w)[:, None, None]
     tweaks.flags.writeable = False
