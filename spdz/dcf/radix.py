@@ -35,8 +35,7 @@ def deal(
     n, w = payload.shape[:2]
     digit_bits = digit_width(n)
     child_words, payload_words = correction_words(key, n, bits, w)
-    digits = np.empty((level_count(bits, digit_bits), n), dtype=np.uint64)
-    write_digits(threshold, bits, digit_bits, digits)
+    digits = digits_of(threshold, bits, digit_bits)
     states = _deal_path(fixed_key_hash, roots, digits, child_words)
     _deal_payload(fixed_key_hash, states, digits, payload, payload_words)
 
@@ -120,14 +119,16 @@ def kinds(w: int) -> Words:
     return kinds
 
 
-def write_digits(numbers: Block, bits: int, digit_bits: int, out: Words) -> None:
+def digits_of(numbers: Block, bits: int, digit_bits: int) -> Words:
     """The digits of the lowest ``bits`` bits of n numbers, the most significant first: shape (levels, n)."""
     high_shifts, low_shifts, masks = _places(bits, digit_bits)
+    result = np.empty((len(masks), len(numbers)), dtype=np.uint64)
     high = len(high_shifts)
     if high:
-        np.right_shift(numbers[:, 1], high_shifts, out[:high])
-    np.right_shift(numbers[:, 0], low_shifts, out[high:])
-    np.bitwise_and(out, masks, out)
+        np.right_shift(numbers[:, 1], high_shifts, out=result[:high])
+    np.right_shift(numbers[:, 0], low_shifts, out=result[high:])
+    result &= masks
+    return result
 
 
 @lru_cache(maxsize=256)

@@ -20,7 +20,7 @@ from spdz.dcf.format import (
     hash_in_place,
     tiles,
 )
-from spdz.dcf.radix import correction_words, kinds, root, write_digits
+from spdz.dcf.radix import correction_words, digits_of, kinds, root
 from spdz.foundations.types import Block, IntArray
 
 _TILE = 16384  # payload blocks at a time (measured)
@@ -69,11 +69,13 @@ class RadixKey:
     def _tile(self, points: Block, keys: slice) -> Words:
         n, k = points.shape[:2]
         levels, paths = len(self._first_row), n * k
+        digits = digits_of(points.reshape(paths, -1), self._bits, self._digit_bits)
+        each = digits.view(np.int64).reshape(levels, n, k)
+        rows = (each + self._first_row[:, keys]).reshape(levels, paths)
         nodes = np.zeros((levels, paths, 2), dtype=np.uint64)
-        write_digits(points.reshape(paths, -1), self._bits, self._digit_bits, nodes[..., 0])
-        each = nodes.reshape(levels, n, k, 2)
-        rows = (each[..., 0].view(np.int64) + self._first_row[:, keys]).reshape(levels, paths)
-        each[0] ^= self._start[keys]
+        nodes[..., 0] = digits
+        first = nodes[0].reshape(n, k, 2)
+        first ^= self._start[keys]
         controls = self._walk(nodes, self._children.take(rows[:-1], axis=0))
         return self._payload_sums(nodes, controls, self._payload.take(rows, axis=1)).reshape(-1, n, k, 4)
 
