@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz import dcf
-from spdz.arithmetic import field
+from spdz.arithmetic import field, unreduced
 from spdz.arithmetic.field import P
 from spdz.dcf.format import tiles
 from spdz.foundations.types import Block, FieldArray
@@ -433,6 +433,46 @@ def test_single_shares_look_uniform() -> None:
 
 def test_batches_have_hash_keys_of_their_own() -> None:
     assert len({Deal([1], 2, 1).key[:HEADER] for _ in range(8)}) == 8
+
+
+# -- keys made ready -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bits", [7, 64, 66, 127])
+def test_keys_made_ready_sum_what_is_evaluated_whatever_the_higher_bits(bits: int) -> None:
+    rng, n, k, w = np.random.default_rng(bits), 5, 3, 2
+    last = (1 << bits) - 1
+    thresholds, numbers = ([int.from_bytes(rng.bytes(16), "little") for _ in range(m)] for m in (n, n * k))
+    deals = [Deal([a & last for a in some], bits, w) for some in (thresholds[:3], thresholds[3:])]
+    raw, points = (words([x & mask for x in numbers]).reshape(n, k, 2) for mask in ((1 << 128) - 1, last))
+    order = np.array([3, 0, 4, 1, 2])
+    for party in (0, 1):
+        roots = np.concatenate([deal.roots[party] for deal in deals])
+        batches = [(slice(0, 3), deals[0].key), (slice(3, 5), deals[1].key)]
+        together = dcf.Keys(party, bits, w, roots, batches, order=order)
+        first = dcf.Keys(party, bits, w, roots[:3], batches[:1])
+        evaluated = [
+            dcf.evaluate(party, deal.roots[party], deal.key, points[order[keys]], bits, w)
+            for deal, (keys, _) in zip(deals, batches, strict=True)
+        ]
+        for asked in (raw, points, *([raw[..., :1]] if bits <= 64 else [])):
+            sums = together.sums(asked)
+            assert sums.shape == (w, n, k, 4)
+            assert np.abs(sums).max() < 1 << together.sum_bits
+            shares = unreduced.elements(sums[:, order].transpose(1, 2, 0, 3))
+            assert np.array_equal(shares, np.concatenate(evaluated))
+            assert np.array_equal(first.sums(asked[order[:3]]), sums[:, order[:3]])
+        with pytest.raises(ValueError, match="cannot take"):
+            first.sums(raw)
+        with pytest.raises(ValueError, match="cannot take"):
+            together.sums(raw[..., : (bits - 1) // 64])
+
+
+def test_a_damaged_key_is_refused_when_it_is_made_ready() -> None:
+    deal = Deal([3, 4], 5, 1)
+    for bad in (deal.key[:-16], b"\xff" * len(deal.key)):
+        with pytest.raises(ValueError, match=r"bytes, not|hash index"):
+            dcf.Keys(0, 5, 1, deal.roots[0], [(slice(0, 2), bad)])
 
 
 # -- arguments -------------------------------------------------------------------------------------------

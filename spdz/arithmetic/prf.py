@@ -118,6 +118,11 @@ class FixedKeyHash:
         self._encryptor.update_into(inp.data.cast("B"), self._scratch.data)
         np.bitwise_xor(self._scratch[:size].view(np.uint64).reshape(inp.shape), inp, out=out)
 
+    @property
+    def permute(self) -> Callable[[Buffer, Buffer], int]:
+        """AES_k alone: from a buffer to one that has room for a block more."""
+        return self._encryptor.update_into
+
     def bind(self, inp: Block, out: Block) -> Callable[[], None]:
         """``hash_into(inp, out)`` with its views made once; ``inp`` and ``out`` do not overlap."""
         scratch = np.empty(inp.nbytes + _BLOCK, dtype=np.uint8)

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any
 
-from spdz.arithmetic import field
+from spdz.arithmetic import field, unreduced
 from spdz.arithmetic.bits import is_below
 from spdz.arithmetic.bits import shifted as shifted_array
 from spdz.compiled import kernels
 from spdz.compiled.arithmetic import TracedArithmetic
-from spdz.compiled.slots import NotCompiled, Slot
+from spdz.compiled.shapes import few
+from spdz.compiled.slots import Form, NotCompiled, Slot
 from spdz.foundations.types import Shape
 from spdz.rounds.wire import ELEMENT_BYTES, from_bytes, to_bytes
 from spdz.values import input_mask
@@ -168,6 +169,24 @@ class TracedRing(TracedArithmetic):
 
     def call(self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any) -> Any:
         """The kernel on field elements, and on whatever else it is given."""
+        text, slots = self._called(kernel, operands)
+        form: Form = "other" if shape is None else "many"
+        return self.trace.note(text, *slots, form=form, shape=shape or ())
+
+    def unreduced(self, kernel: Callable[..., Any], shape: Shape, *operands: Any) -> Any:
+        """The same, and what it gives as elements."""
+        text, slots = self._called(kernel, operands)
+        if not self._is_few(shape):
+            text = f"{self._name(unreduced.elements)}({text}).reshape({(*shape, 2)})"
+            return self.trace.note(text, *slots, form="many", shape=shape)
+        text, form = f"{self._name(unreduced.integers)}({text})", few(shape)
+        bits = unreduced.INTEGER_BITS
+        if form == "one":
+            text += "[0]"
+        return self.trace.note(text, *slots, form=form, shape=shape, bits=bits, reduced=False)
+
+    def _called(self, kernel: Callable[..., Any], operands: Sequence[Any]) -> tuple[str, list[Slot]]:
+        """The text of a call, and its operands."""
         places: list[str] = []
         slots: list[Slot] = []
         for operand in operands:
@@ -178,9 +197,7 @@ class TracedRing(TracedArithmetic):
                 slots.append(operand if operand.form == "other" else self.array(operand))
             else:
                 places.append(self._name(operand))
-        text = f"{self._name(kernel)}({', '.join(places)})"
-        form = "other" if shape is None else "many"
-        return self.trace.note(text, *slots, form=form, shape=shape or ())  # type: ignore[arg-type]
+        return f"{self._name(kernel)}({', '.join(places)})", slots
 
     def opened(self, a: Any, frac: int, *, is_bit: bool) -> Any:
         """The result."""

@@ -10,7 +10,6 @@ from spdz.dcf.format import (
     SIGN,
     TOP,
     Words,
-    base32_sums,
     chunks,
     control_masks,
     group_size,
@@ -20,7 +19,7 @@ from spdz.dcf.format import (
 from spdz.foundations.types import Block, FieldArray
 
 _CHUNK = 2048  # paths at a time: their seeds on all levels stay near the second-level cache (measured)
-_ONE, _63 = np.uint64(1), np.uint64(63)
+_ONE, _32, _63 = np.uint64(1), np.uint64(32), np.uint64(63)
 
 
 def deal(
@@ -43,21 +42,35 @@ def deal(
         _deal_payload(fixed_key_hash, seeds, path, flips, payload[part], payload_words[:, :, part])
 
 
-def evaluate(
-    fixed_key_hash: FixedKeyHash, party: int, roots: Block, key: Words, points: Block, bits: int, w: int
-) -> Words:
-    """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (n, k, w, 4)."""
-    n, k = points.shape[:2]
-    seed_words, payload_words = _correction_words(key, n, bits, w)
-    sums = np.empty((n, k, w, 4), dtype=np.uint64)
-    for keys, part in tiles(n, k, _CHUNK):
-        directions = _top_bits(points[keys, part].reshape(-1, 2), bits)
-        seeds = np.empty((bits + 1, directions.shape[1], 2), dtype=np.uint64)
-        tile = sums[keys, part]
-        _set_root(party, roots[keys, None], seeds[0].reshape(*tile.shape[:2], 2))
-        _walk(fixed_key_hash, seeds, directions, seed_words[:, keys], payload_words[:-1, 0, keys])
-        tile[...] = _payload_sums(fixed_key_hash, seeds, payload_words[:, :, keys]).reshape(tile.shape)
-    return sums
+class BinaryKey:
+    """The keys of a batch, for one party: as :class:`spdz.dcf.radix_key.RadixKey`."""
+
+    __slots__ = ("_bits", "_hash", "_party", "_payload_words", "_roots", "_seed_words")
+
+    def __init__(
+        self, fixed_key_hash: FixedKeyHash, party: int, roots: Block, key: Words, bits: int, w: int
+    ) -> None:
+        self._hash, self._party, self._roots, self._bits = fixed_key_hash, party, roots, bits
+        self._seed_words, self._payload_words = _correction_words(key, len(roots), bits, w)
+
+    @property
+    def levels(self) -> int:
+        """How many blocks a payload's sum has."""
+        return self._bits + 1
+
+    def sums(self, points: Block) -> Words:
+        """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (w, n, k, 4)."""
+        n, k = points.shape[:2]
+        sums = np.empty((self._payload_words.shape[1], n, k, 4), dtype=np.uint64)
+        for keys, part in tiles(n, k, _CHUNK):
+            directions = _top_bits(points[keys, part].reshape(-1, points.shape[2]), self._bits)
+            seeds = np.empty((self._bits + 1, directions.shape[1], 2), dtype=np.uint64)
+            tile = sums[:, keys, part]
+            _set_root(self._party, self._roots[keys, None], seeds[0].reshape(*tile.shape[1:3], 2))
+            payload_words = self._payload_words[:, :, keys]
+            _walk(self._hash, seeds, directions, self._seed_words[:, keys], payload_words[:-1, 0])
+            tile[...] = _payload_sums(self._hash, seeds, payload_words).reshape(tile.shape)
+        return sums
 
 
 def _each(words: Words, paths: int) -> Words:
@@ -97,12 +110,13 @@ def _walk(
 
 
 def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> Words:
-    """Sum the payload of all nodes, in base 2^32: shape (n k, w, 4)."""
+    """Sum the payload of all nodes, in base 2^32: shape (w, n k, 4)."""
     levels, paths = seeds.shape[:2]
     w, n = words.shape[1:3]
     group = group_size(paths * w, levels)
     tweaks = _payload_tweaks(w, paths)
-    sums = np.zeros((w, paths, 4), dtype=np.uint64)
+    # Whole words wrap; less the upper halves, what is left of their sum is below 2^64.
+    whole, upper = np.zeros((2, w, paths, 2), dtype=np.uint64)
     workspace = np.empty((2, group, w, paths, 2), dtype=np.uint64)
     for start in range(0, levels, group):
         part = slice(start, start + group)
@@ -118,8 +132,19 @@ def _payload_sums(fixed_key_hash: FixedKeyHash, seeds: Block, words: Block) -> W
                 each = _each(words[part, ..., half], paths)
                 np.bitwise_and(each, masks[..., half], out=corrections[..., half])
         blocks ^= corrections
-        sums += base32_sums(blocks, axis=0)
-    return np.asarray(sums.swapaxes(0, 1))
+        whole += _total(blocks)
+        np.right_shift(blocks, _32, out=blocks)
+        upper += _total(blocks)
+    sums = np.empty((w, paths, 2, 2), dtype=np.uint64)
+    sums[..., 1] = upper
+    np.subtract(whole, np.left_shift(upper, _32, out=upper), out=sums[..., 0])
+    return sums.reshape(w, paths, 4)
+
+
+def _total(blocks: Block) -> Words:
+    """The sum over the first axis; a single level, as of large batches, need not be copied."""
+    total: Words = blocks[0] if len(blocks) == 1 else np.add.reduce(blocks, axis=0)
+    return total
 
 
 def _deal_path(fixed_key_hash: FixedKeyHash, seeds: Block, path: Words, seed_words: Block) -> Words:
@@ -224,7 +249,8 @@ def _top_bits(numbers: Block, bits: int) -> Words:
     result = np.empty((bits, len(numbers)), dtype=np.uint64)
     shifts = np.arange(64 - bits, 64, dtype=np.int64)[:, None]
     high = max(bits - 64, 0)
-    np.left_shift(numbers[:, 1], (shifts[:high] + 64).view(np.uint64), out=result[:high])
+    if high:
+        np.left_shift(numbers[:, 1], (shifts[:high] + 64).view(np.uint64), out=result[:high])
     np.left_shift(numbers[:, 0], shifts[high:].view(np.uint64), out=result[high:])
     result &= TOP
     return result

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from spdz.dcf.evaluation import evaluate
+from spdz.dcf.evaluation import Key, opened
 from spdz.dcf.format import HEADER, WORD
-from spdz.foundations.types import Block, Buffer, FieldArray
+from spdz.foundations.types import Block, Buffer, IntArray
 
 BINARY = 1
 """Bits of a digit of the trees in records."""
@@ -23,7 +23,7 @@ BINARY = 1
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """Keys of one party.
+    """Keys of one party, ready to be evaluated: what depends on them alone is done when they are made.
 
     Attributes:
         party: 0 or 1.
@@ -33,6 +33,9 @@ class Keys:
         batches: Slices that cover the keys, each with its correction words.
         digit_bits: Of the trees; None for what n keys have.
         order: The entry that each key belongs to; None where they follow each other.
+
+    Raises:
+        ValueError: as :func:`spdz.dcf.evaluation.opened`.
     """
 
     party: int
@@ -42,22 +45,46 @@ class Keys:
     batches: Sequence[tuple[slice, Buffer]] = field(repr=False)
     digit_bits: int | None = None
     order: npt.NDArray[np.intp] | None = field(default=None, repr=False)
+    _opened: list[Key] = field(init=False, repr=False)
 
-    def evaluate(self, points: Block) -> FieldArray:
-        """This party's shares at the entries' points: see :func:`spdz.dcf.evaluate`."""
-        order = self.order
-        points = points if order is None else points[order]
-        parts = [
-            evaluate(
-                self.party, self.roots[keys], words, points[keys], self.bits, self.payloads, self.digit_bits
-            )
+    def __post_init__(self) -> None:
+        ready = [
+            opened(self.party, self.roots[keys], words, self.bits, self.payloads, self.digit_bits)
             for keys, words in self.batches
         ]
-        shares = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        object.__setattr__(self, "_opened", ready)
+
+    @property
+    def sum_bits(self) -> int:
+        """Words of sums, and their differences from those of elements, are below 2^sum_bits in size."""
+        return 32 + max(key.levels for key in self._opened).bit_length()
+
+    def sums(self, points: Block) -> IntArray:
+        """This party's shares of beta [x < a] at k points an entry, as numbers that are not reduced.
+
+        Args:
+            points: The public x, ``uint64`` of shape (n, k, 2), or (n, k, 1) if one word holds ``bits`` bits.
+                Higher bits are not looked at.
+
+        Returns:
+            Signed numbers in base 2^32 (:mod:`spdz.arithmetic.unreduced`), below 2^39 in size: shape
+            (payloads, n, k, 4).
+
+        Raises:
+            ValueError: for points of another shape.
+        """
+        if points.ndim != 3 or len(points) != len(self.roots) or 64 * points.shape[2] < self.bits:
+            raise ValueError(f"{len(self.roots)} keys of {self.bits} bits cannot take {points.shape}")
+        order = self.order
+        points = points if order is None else points[order]
+        parts = [key.sums(points[keys]) for (keys, _), key in zip(self.batches, self._opened, strict=True)]
+        words = (parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)).view(np.int64)
+        if self.party:
+            np.negative(words, out=words)
         if order is None:
-            return shares
-        result = np.empty_like(shares)
-        result[order] = shares
+            return words
+        result = np.empty_like(words)
+        result[:, order] = words
         return result
 
 

@@ -1,8 +1,9 @@
-"""The trees of radix 4 and 16 for small batches; the construction is in the package's docstring."""
+"""Dealing trees of radix 4 and 16 for small batches; the construction is in the package's docstring."""
 
 from __future__ import annotations
 
 import secrets
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,18 +13,14 @@ from spdz.dcf.format import (
     SIGN,
     TOP,
     Words,
-    base32_sums,
-    control_masks,
     digit_width,
     group_size,
     hash_in_place,
     level_count,
-    tiles,
 )
 from spdz.foundations.types import Block, FieldArray
 
 _KIND = np.uint64(8)
-_TILE = 16384  # payload blocks at a time (measured)
 
 
 def deal(
@@ -37,63 +34,10 @@ def deal(
     """Write the correction words of n keys to ``key``."""
     n, w = payload.shape[:2]
     digit_bits = digit_width(n)
-    child_words, payload_words = _correction_words(key, n, bits, w)
-    digits = _digits(threshold, bits, digit_bits)
+    child_words, payload_words = correction_words(key, n, bits, w)
+    digits = digits_of(threshold, bits, digit_bits)
     states = _deal_path(fixed_key_hash, roots, digits, child_words)
     _deal_payload(fixed_key_hash, states, digits, payload, payload_words)
-
-
-def evaluate(
-    fixed_key_hash: FixedKeyHash, party: int, roots: Block, key: Words, points: Block, bits: int, w: int
-) -> Words:
-    """Sum the payload on the paths of points (n, k, 2), in base 2^32: shape (n, k, w, 4)."""
-    n, k = points.shape[:2]
-    digit_bits = digit_width(n)
-    child_words, payload_words = _correction_words(key, n, bits, w)
-    levels, radix = payload_words.shape[1], 1 << digit_bits
-    start = _root(party, roots)[:, None]
-    first_row = np.arange(0, radix * levels * n, radix).reshape(levels, n, 1)
-    sums = np.empty((n, k, w, 4), dtype=np.uint64)
-    for keys, part in tiles(n, k, max(1, _TILE // (levels * w))):
-        tile = sums[keys, part]
-        digits = _digits(points[keys, part].reshape(-1, 2), bits, digit_bits)
-        rows = digits.view(np.int64).reshape(levels, *tile.shape[:2]) + first_row[:, keys]
-        rows = rows.reshape(digits.shape)
-        nodes = np.zeros((*digits.shape, 2), dtype=np.uint64)
-        nodes[..., 0] = digits
-        nodes[0].reshape(*tile.shape[:2], 2)[...] ^= start[keys]
-        _walk(fixed_key_hash, nodes, child_words.reshape(-1, 2).take(rows[:-1], axis=0))
-        words = payload_words.reshape(w, -1, 2).take(rows, axis=1)
-        tile[...] = _payload_sums(fixed_key_hash, nodes, words).reshape(tile.shape)
-    return sums
-
-
-def _walk(fixed_key_hash: FixedKeyHash, nodes: Block, corrections: Block) -> None:
-    """Turn digits ``nodes`` (levels, paths, 2), the first with the root seed XORed, into seeds ^ digits."""
-    block = nodes[0].copy()
-    hashed, corrected = np.empty_like(block), np.empty_like(block)
-    signed, control = block.view(np.int64), corrected.view(np.int64)
-    xor, bitwise_and, right_shift = np.bitwise_xor, np.bitwise_and, np.right_shift
-    hash_block = fixed_key_hash.bind(block, hashed)
-    for child, correction in zip(nodes[1:], corrections, strict=True):
-        hash_block()
-        right_shift(signed, SIGN, control)
-        bitwise_and(corrected, correction, corrected)
-        xor(hashed, corrected, hashed)
-        xor(hashed, child, child)
-        block[...] = child
-
-
-def _payload_sums(fixed_key_hash: FixedKeyHash, nodes: Block, words: Block) -> Words:
-    """Sum the payload of nodes (levels, paths, 2) with corrections (w, levels, paths, 2): (paths, w, 4)."""
-    blocks = np.empty_like(words)
-    blocks[...] = nodes
-    low = blocks[..., 0]
-    np.bitwise_xor(low, _kinds(len(words))[:, None, None], out=low)
-    hash_in_place(fixed_key_hash, blocks)
-    np.bitwise_and(words, control_masks(nodes), out=words)
-    blocks ^= words
-    return np.asarray(base32_sums(blocks, axis=1).swapaxes(0, 1))
 
 
 def _deal_path(
@@ -108,7 +52,7 @@ def _deal_path(
     radix = child_words.shape[2]
     states = np.empty((levels, 2, n, 2), dtype=np.uint64)
     for party in (0, 1):
-        states[0, party] = _root(party, roots[party])
+        states[0, party] = root(party, roots[party])
     # Once XORed to the kept child's CW, they make its seeds independent and both its control bits differ.
     coins = expand(secrets.token_bytes(16), 16 * (levels - 1) * n).reshape(levels - 1, n, 2) | TOP
     tweaks = np.zeros((2, n, radix, 2), dtype=np.uint64)
@@ -141,7 +85,7 @@ def _deal_payload(
     chosen = (every < digits[..., None]) * (1 - holder) * (w * n)
     swaps = holder.view(np.uint64)[..., None]
     tweaks = np.zeros((w, 1, 1, radix, 2), dtype=np.uint64)
-    tweaks[..., 0] = every ^ _kinds(w)[:, None, None, None]
+    tweaks[..., 0] = every ^ kinds(w)[:, None, None, None]
     group = group_size(2 * n * w * radix, levels)
     for part in (slice(start, start + group) for start in range(0, levels, group)):
         hashed = [states[part, party, :, None] ^ tweaks for party in (0, 1)]
@@ -155,7 +99,7 @@ def _deal_payload(
         np.bitwise_xor(r, y_t, out=payload_words[:, part])
 
 
-def _correction_words(key: Words, n: int, bits: int, w: int) -> tuple[Block, Block]:
+def correction_words(key: Words, n: int, bits: int, w: int) -> tuple[Block, Block]:
     """Views of shape (levels - 1, n, radix, 2) and (w, levels, n, radix, 2)."""
     digit_bits = digit_width(n)
     levels, radix = level_count(bits, digit_bits), 1 << digit_bits
@@ -163,26 +107,36 @@ def _correction_words(key: Words, n: int, bits: int, w: int) -> tuple[Block, Blo
     return key[:split].reshape(levels - 1, n, radix, 2), key[split:].reshape(w, levels, n, radix, 2)
 
 
-def _root(party: int, roots: Block) -> Block:
+def root(party: int, roots: Block) -> Block:
     """Root seeds with the party's number as both control bits."""
     root: Block = roots & ~TOP | TOP * np.uint64(party)
     return root
 
 
-def _kinds(w: int) -> Words:
+def kinds(w: int) -> Words:
     """What tells the payloads' hash inputs from the child's (seed ^ digit): above all digits."""
     kinds: Words = np.arange(1, w + 1, dtype=np.uint64) << _KIND
     return kinds
 
 
-def _digits(numbers: Block, bits: int, digit_bits: int) -> Words:
-    """The digits of n numbers, the most significant first: shape (levels, n). None crosses a word."""
-    levels, in_word = level_count(bits, digit_bits), 64 // digit_bits
-    shifts = np.arange(64 - digit_bits, -1, -digit_bits).astype(np.uint64)[:, None]
-    high = max(levels - in_word, 0)
-    result = np.empty((levels, len(numbers)), dtype=np.uint64)
+def digits_of(numbers: Block, bits: int, digit_bits: int) -> Words:
+    """The digits of the lowest ``bits`` bits of n numbers, the most significant first: shape (levels, n)."""
+    high_shifts, low_shifts, masks = _places(bits, digit_bits)
+    result = np.empty((len(masks), len(numbers)), dtype=np.uint64)
+    high = len(high_shifts)
     if high:
-        np.right_shift(numbers[:, 1], shifts[in_word - high :], out=result[:high])
-    np.right_shift(numbers[:, 0], shifts[in_word - levels + high :], out=result[high:])
-    result &= np.uint64((1 << digit_bits) - 1)
+        np.right_shift(numbers[:, 1], high_shifts, out=result[:high])
+    np.right_shift(numbers[:, 0], low_shifts, out=result[high:])
+    result &= masks
     return result
+
+
+@lru_cache(maxsize=256)
+def _places(bits: int, digit_bits: int) -> tuple[Words, Words, Words]:
+    """Shifts in the high and in the low word, and masks, of all digits; none crosses a word."""
+    levels, in_word = level_count(bits, digit_bits), 64 // digit_bits
+    low = min(levels, in_word)
+    shifts = np.arange(64 - digit_bits, -1, -digit_bits).astype(np.uint64)[:, None]
+    masks = np.full((levels, 1), (1 << digit_bits) - 1, dtype=np.uint64)
+    masks[0] >>= np.uint64(levels * digit_bits - bits)
+    return shifts[in_word - (levels - low) :], shifts[in_word - low :], masks

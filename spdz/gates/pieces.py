@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 
-from spdz.arithmetic import field, inner_product
 from spdz.arithmetic.bound import Bound
 from spdz.arithmetic.field import P
+from spdz.arithmetic.unreduced import MOST_TERMS, Weights
 from spdz.foundations.types import BigIntArray, Block, Shape
 
 HALF = (P + 1) // 2
@@ -55,6 +54,8 @@ class Pieces:
         jumps = {len(column) - 1 for f in functions for column in (f.constants, f.slopes)}
         if jumps != {len(self.thresholds)} or list(self.thresholds) != sorted(set(self.thresholds)):
             raise ValueError("thresholds must ascend, and every function have one jump a threshold")
+        if len(self.thresholds) > MOST_TERMS:
+            raise ValueError(f"at most {MOST_TERMS} thresholds, not {len(self.thresholds)}")
 
     def __repr__(self) -> str:
         return f"Pieces({self.thresholds}, {self.functions})"
@@ -88,9 +89,9 @@ class Pieces:
         return tuple((place.get(f.constants[1:]), place.get(f.slopes[1:])) for f in self.functions)
 
     @cached_property
-    def weights(self) -> Any:
-        """:attr:`jumps` split for products, shape (rows, 1, k)."""
-        return inner_product.limbs(field.from_ints(self.jumps)[:, None])
+    def weights(self) -> Weights:
+        """:attr:`jumps` as they weigh what a key gives."""
+        return Weights(self.jumps)
 
     @cached_property
     def public(self) -> tuple[tuple[int, int], ...]:

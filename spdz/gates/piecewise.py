@@ -27,10 +27,11 @@ from math import prod
 import numpy as np
 import numpy.typing as npt
 
-from spdz.arithmetic import field, inner_product
+from spdz.arithmetic import field
 from spdz.arithmetic.bits import low_bits
+from spdz.arithmetic.unreduced import weigh, words
 from spdz.dcf import Keys
-from spdz.foundations.types import FieldArray
+from spdz.foundations.types import FieldArray, IntArray
 from spdz.gates.masking import dealt_integer_mask, in_place, integer_mask
 from spdz.gates.pieces import HALF, Pieces
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
@@ -82,8 +83,9 @@ class Piecewise(Gate):
         half = party.authenticated((*shape, width), count=(KIND, prod(shape)))
         keys = party.comparison_key(shape, bits - 1, width)
         shares = len(z.parts) - 1
+        halves = party.ring.call(_columns, None, width, *half[:shares])
         sums_shape = (len(pieces.jumps), shares, width, *shape)
-        sums = party.ring.call(_sums, sums_shape, pieces, bits, z.parts[0], keys, *half[:shares])
+        sums = party.ring.unreduced(_sums, sums_shape, pieces, bits, z.parts[0], keys, halves)
         return [self._value(party, z, i, sums) for i in range(len(pieces.functions))]
 
     def _value(self, party: Evaluation, z: Value, i: int, sums: FieldArray) -> Value:
@@ -122,32 +124,34 @@ class Piecewise(Gate):
         ]
 
 
-def _sums(pieces: Pieces, bits: int, eps: FieldArray, keys: Keys, *halves: FieldArray) -> FieldArray:
-    """Steps 1 and 2: the weighted sums over the thresholds, shape (jumps, shares, width) + S."""
-    n, shape, width = prod(eps.shape[:-1]), eps.shape, pieces.width
-    points = _minus(eps.reshape(n, 1, 2), pieces.words)
-    outputs = keys.evaluate(low_bits(points, bits - 1))
-    half = np.concatenate([h.reshape(n, 1, width, 2) for h in halves], axis=2)
-    signed = _signed(_top_bit(points, bits)[..., None], field.sub(outputs, half))
-    sums: FieldArray = _weighted(pieces, signed).reshape((len(pieces.jumps), len(halves), width, *shape))
-    return sums
+def _columns(width: int, *halves: FieldArray) -> IntArray:
+    """Shares of sigma/2 (and sigma r/2) as words, shape (shares width, n, 1, 4)."""
+    columns = [words(share.reshape(-1, width, 2)).swapaxes(0, 1) for share in halves]
+    return np.concatenate(columns)[:, :, np.newaxis]
 
 
-def _weighted(pieces: Pieces, signed: FieldArray) -> FieldArray:
-    """``sum_i jumps_i signed_i`` for all columns of jumps: (n, k, columns, 2) to (rows, columns, n, 2)."""
-    n, k, columns = signed.shape[:3]
-    if k == 1:
-        column = signed[:, 0].swapaxes(0, 1)
-        return np.stack([field.scale(column, weight) for (weight,) in pieces.jumps])
-    vectors = signed.transpose(2, 0, 1, 3).reshape(1, columns * n, k, 2)
-    return inner_product.dot(pieces.weights, vectors).reshape(len(pieces.jumps), columns, n, 2)
+def _sums(pieces: Pieces, bits: int, eps: FieldArray, keys: Keys, halves: IntArray) -> IntArray:
+    """Steps 1 and 2: the weighted sums over the thresholds, as words (jumps, columns, n, 4)."""
+    points = _minus(eps.reshape(-1, 1, 2), pieces.words, bits)
+    return weigh(pieces.weights, _signs(points, bits), keys.sums(points), halves, keys.sum_bits)
 
 
-def _minus(a: FieldArray, b: FieldArray) -> FieldArray:
-    """``a - b`` mod 2^128, on words."""
+def _minus(a: FieldArray, b: FieldArray, bits: int) -> FieldArray:
+    """``a - b`` mod 2^64 for up to 64 bits, one word, else mod 2^128."""
+    if bits <= 64:
+        return np.asarray(a[..., :1] - b[..., :1])
     result = np.asarray(a - b)
     result[..., 1] -= a[..., 0] < b[..., 0]
     return result
+
+
+def _signs(numbers: FieldArray, bits: int) -> IntArray:
+    """-1 where bit ``bits - 1`` is set, else 1."""
+    word, offset = divmod(bits - 1, 64)
+    on_top = numbers[..., word] << np.uint64(63 - offset)
+    signs: IntArray = on_top.view(np.int64) >> np.int64(63)
+    signs |= np.int64(1)
+    return signs
 
 
 def _top_bit(words: FieldArray, bits: int) -> npt.NDArray[np.bool_]:

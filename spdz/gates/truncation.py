@@ -28,7 +28,7 @@ from spdz.arithmetic.bits import low_bits, shifted
 from spdz.arithmetic.bound import Bound, root
 from spdz.arithmetic.public import fraction_bits
 from spdz.dcf import Keys
-from spdz.foundations.types import FieldArray
+from spdz.foundations.types import FieldArray, IntArray
 from spdz.gates.masking import FULL, dealt_integer_mask, in_place, integer_mask, mask, signed_bits
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe
 from spdz.values.refusals import expect_secret
@@ -123,7 +123,7 @@ class TruncateExactly(Gate):
         shift = party.authenticated(shape, count=(EXACT, prod(shape)))
         keys = party.comparison_key(shape, drop, 1)
         ring, c = party.ring, half.parts[0]
-        borrow = ring.call(_borrow, (width, *shape), keys, c, drop)
+        borrow = ring.unreduced(_borrow, (width, *shape), keys, c)
         parts = tuple(ring.neg(ring.add(shift[j], ring.index(borrow, (j,)))) for j in range(width))
         result = Value(party, parts, shape, z.frac - drop, _bound(z, drop))
         public = ring.sub(ring.shifted(c, drop), ring.constant(1 << (bits - 1 - drop)))
@@ -134,11 +134,9 @@ class TruncateExactly(Gate):
         return engine.value(_rounded(z, self.drop), z.frac - self.drop, _bound(z, self.drop))
 
 
-def _borrow(keys: Keys, c: FieldArray, drop: int) -> FieldArray:
-    """Shares of ``[c mod 2^f < rho mod 2^f]`` and of its MAC, shape (width,) + S."""
-    shares = keys.evaluate(low_bits(c, drop).reshape(-1, 2)).swapaxes(0, 1)
-    borrow: FieldArray = shares.reshape((len(shares), *c.shape))
-    return borrow
+def _borrow(keys: Keys, c: FieldArray) -> IntArray:
+    """Shares of ``[c mod 2^f < rho mod 2^f]`` and of its MAC, as words (width, n, 1, 4)."""
+    return keys.sums(c.reshape(-1, 1, 2))
 
 
 def _ones(shape: tuple[int, ...]) -> FieldArray:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spdz.arithmetic import element, field, inner_product
+from spdz.arithmetic import element, field, inner_product, unreduced
 from spdz.arithmetic.bits import is_below, shifted
 from spdz.arithmetic.element import Element
 from spdz.arithmetic.fixed_point import decode
@@ -136,6 +136,10 @@ class PartyRing(OuterRing):
     def call(self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any) -> Any:
         """What no reading looks into: ``kernel(*operands)``, elements of a shape, or anything else (None)."""
         return kernel(*operands)
+
+    def unreduced(self, kernel: Callable[..., IntArray], shape: Shape, *operands: Any) -> FieldArray:
+        """The same for a kernel whose elements are words to be reduced (:mod:`spdz.arithmetic.unreduced`)."""
+        return unreduced.elements(kernel(*operands)).reshape((*shape, 2))
 
     def opened(self, a: FieldArray, frac: int, *, is_bit: bool) -> Any:
         """An opened result as the user gets it: see :func:`decoded`."""
