@@ -231,7 +231,7 @@ class Dealt:
     def word_bits(self):
         """Bits of the words of inputs of party 0, as of party 1; ``input_mask.LONG`` for elements."""
         source = declare(self.program, self._shapes)[0]
-        return input_mask.LONG if self._stock else input_mask.word_bits(source.shape, source.norm)
+        return input_mask.LONG if self._stock else input_mask.job_bits(source.shape, source.norm)
 
     @cached_property
     def norm(self):

@@ -63,7 +63,7 @@ def test_norms_from_the_smallest_to_the_largest(n, length):
         for security in SECURITIES:
             job = deal(program, unit_vectors(n, length=length), security)
             hold_honest(job)
-            forms.add(input_mask.word_bits((n,), job.plan.inputs[0].norm) == input_mask.LONG)
+            forms.add(input_mask.job_bits((n,), job.plan.inputs[0].norm) == input_mask.LONG)
     assert forms == {length == 2.0**22}
 
 

@@ -21,7 +21,7 @@ any_security = pytest.mark.parametrize("security", SECURITIES)
 def form_of(job):
     """Bits of a word, its bytes, and the interval of honest ones."""
     source = job.plan.inputs[0]
-    bits = input_mask.word_bits(source.shape, source.norm)
+    bits = input_mask.job_bits(source.shape, source.norm)
     return input_mask.element_bytes(bits), source.norm, (1 << bits) - source.norm
 
 

@@ -13,7 +13,7 @@ from spdz.arithmetic import field
 from spdz.arithmetic.fixed_point import norm_bound
 from spdz.foundations.errors import Unsent
 from spdz.values import input_mask
-from spdz.values.input_mask import LONG, element_bytes, hide, pack, unpack, word_bits
+from spdz.values.input_mask import JOB_REJECTION, LONG, element_bytes, hide, job_bits, pack, unpack, word_bits
 
 SECURITIES = ["malicious", "semi-honest"]
 SMALL = [(w, norm) for w in (2, 3, 5, 8) for norm in (1, 2, 3, 7, 15, 60, 127) if 2 * norm < 1 << w]
@@ -71,7 +71,7 @@ def test_what_travels_is_uniform_for_the_largest_inputs_of_either_sign(security,
 
     program.max_norm, rows = 1.0, np.full((500, 1), float(sign))
     run_local(program, rows, rows, security, tamper=watch)
-    bits = word_bits(rows.shape, norm_bound(1.0, 1))
+    bits = job_bits(rows.shape, norm_bound(1.0, 1))
     assert (bits, {len(frame) for frame in frames}) == (56, {7 * 500})
     words = np.concatenate([unpack(frame, (500,), bits, norm_bound(1.0, 1)) for frame in frames])
     for classes in (words >> (bits - 3), words % 8):
@@ -153,13 +153,23 @@ def test_words_are_as_short_as_the_chance_of_not_being_sent_allows(shape, reject
 
 
 def test_the_longest_words_have_63_bits_and_what_has_no_norm_no_words():
-    assert word_bits((1,), 1 << 32) == word_bits((4,), 1 << 30) == 63
-    assert word_bits((1,), (1 << 32) + 1) == word_bits((5,), 1 << 30) == LONG
-    assert word_bits((3,), 0) == word_bits((0,), 5) == word_bits((0, 3), 5) == LONG
+    assert word_bits((1,), 1 << 32, 30) == word_bits((4,), 1 << 30, 30) == 63
+    assert word_bits((1,), (1 << 32) + 1, 30) == word_bits((5,), 1 << 30, 30) == LONG
+    assert word_bits((3,), 0, 30) == word_bits((0,), 5, 30) == word_bits((0, 3), 5, 30) == LONG
+
+
+@pytest.mark.parametrize("shape", [(1,), (16,), (1536,), (8192,), (64, 1536)])
+def test_a_jobs_words_take_whole_bytes(shape):
+    for norm in (1, 65535, 65536 + 20, 1 << 22, 1 << 36):
+        bits, least = job_bits(shape, norm), word_bits(shape, norm, JOB_REJECTION)
+        assert (bits == LONG) == (least == LONG)
+        if bits != LONG:
+            assert bits in (8, 16, 24, 32, 40, 48, 56, 63) and least <= bits < least + 8
 
 
 @pytest.mark.parametrize(
-    ("dim", "max_norm", "size"), [(3, 1.0, 7), (128, 1.0, 7), (512, 1.0, 8), (1536, 1.0, 8), (3, 2.0**22, 16)]
+    ("dim", "max_norm", "size"),
+    [(3, 1.0, 6), (128, 1.0, 7), (1536, 1.0, 7), (8192, 1.0, 7), (3, 2.0**22, 16)],
 )
 def test_both_security_modes_use_the_same_words(dim, max_norm, size):
     program, x = S10.within(max_norm), np.full(dim, 0.1 / dim)

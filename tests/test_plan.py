@@ -60,10 +60,10 @@ def test_jobs_bytes_and_rounds_are_what_the_plan_says(tmp_path, purpose, maps, s
 
 @pytest.mark.parametrize("security", ["malicious", "semi-honest"])
 def test_both_kinds_of_masks_and_several_batches_were_among_these(security):
-    """Words of 50 bits, 7 bytes, and elements of 16."""
+    """Words of 48 bits, 6 bytes, and elements of 16."""
     short = plan_tile(AGENTS, Purpose("S10", 5, max_norm=1.0), 72, (9, 8), security)
     long = plan_tile(AGENTS, Purpose("S10", 5), 72, (9, 8), security)
-    assert short.bytes_sent[0] == long.bytes_sent[0] - 72 * 5 * (16 - 7)
+    assert short.bytes_sent[0] == long.bytes_sent[0] - 72 * 5 * (16 - 6)
     assert short.together == batching.MOST_JOBS < short.jobs
 
 

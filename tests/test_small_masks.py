@@ -32,7 +32,7 @@ from spdz.values.value import concatenate
 SECURITIES = ["malicious", "semi-honest"]
 both_modes = pytest.mark.parametrize("security", SECURITIES)
 NORM = norm_bound(1.0, 1)
-BITS = input_mask.word_bits((1,), NORM)
+BITS = input_mask.job_bits((1,), NORM)
 
 
 def program(function, max_norm=1.0):

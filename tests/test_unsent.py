@@ -1,6 +1,6 @@
 """A masked input that would leave its interval is not sent: its job is used up, and the next one is run.
 
-By the rule that happens once in 2^30 times.
+By the rule that happens once in 2^25 times.
 """
 
 from itertools import count
@@ -84,7 +84,7 @@ def test_an_owner_stops_before_it_sends_and_both_can_go_on(tmp_path, owner, secu
 def test_a_run_in_one_process_stops_as_well():
     frames = []
     with (
-        patch.object(input_mask, "word_bits", lambda shape, norm: 18),
+        patch.object(input_mask, "job_bits", lambda shape, norm: 18),
         pytest.raises(Unsent),
     ):  # half are outside
         run_local(added_up, np.full(99, 0.0625), np.full(2, 0.5), tamper=lambda *frame: frames.append(frame))

@@ -144,9 +144,10 @@ class Meter(Recipe):
             self._draw(1 - source.owner, pad=size)
             self._draw(source.owner, correction=size)
         self.correlations["input mask"] += size
-        symbol = self._note("input", source.owner, source.shape, source.norm, source.proved, len(self.trace))
-        bound = Bound.of_norm(source.norm)
-        span = input_mask.span(self.input_mask_bits(source))
+        bits, bound = self.input_mask_bits(source), Bound.of_norm(source.norm)
+        kind = (source.owner, source.shape, source.norm, source.proved, bits)
+        symbol = self._note("input", *kind, len(self.trace))
+        span = input_mask.span(bits)
         return Value(self, (symbol,), source.shape, FRACTION_BITS, bound, masked=True, span=span)
 
     def authenticated(

@@ -70,7 +70,7 @@ class Engine(ABC):
         """How long the mask of an input is (:mod:`spdz.values.input_mask`)."""
         if self.slot_bits is not None:
             return self.slot_bits
-        bits = input_mask.word_bits(source.shape, source.norm)
+        bits = input_mask.job_bits(source.shape, source.norm)
         return min(bits, input_mask.provable_bits(source.shape[-1])) if source.proved else bits
 
     def read(self, gate: Gate, *operands: Any) -> Any:

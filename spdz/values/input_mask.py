@@ -33,11 +33,17 @@ LONG = 127
 _MOST = 63
 """Bits of the longest word: words are int64."""
 
-JOB_REJECTION, SLOT_REJECTION = 30, 16
-"""The chance that an input is not sent is at most 2^-30 for a job, which it costs, and 2^-16 for a slot."""
+JOB_REJECTION, SLOT_REJECTION = 25, 16
+"""The chance that an input is not sent is at most 2^-25 for a job, which it costs, and 2^-16 for a slot."""
 
 
-def word_bits(shape: Shape, norm: int, rejection: int = JOB_REJECTION) -> int:
+def job_bits(shape: Shape, norm: int) -> int:
+    """Bits of the words of a job's input: all that the bytes hold which they need, or LONG."""
+    w = word_bits(shape, norm, JOB_REJECTION)
+    return w if w == LONG else min(8 * element_bytes(w), _MOST)
+
+
+def word_bits(shape: Shape, norm: int, rejection: int) -> int:
     """Bits w of the words of an input of this shape with L2 norms of at most ``norm`` (raw), or LONG.
 
     The smallest w with ``2 n norm / 2^w <= 2^-rejection`` for all n coordinates together.
@@ -138,7 +144,7 @@ def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
 def unsuited() -> Unsent:
     """What to raise for words that must not be sent."""
     return Unsent(
-        "the mask of this job does not suit this input, which happens once in 2^30 times: nothing was sent; "
+        "the mask of this job does not suit this input, which happens once in 2^25 times: nothing was sent; "
         "run the next job"
     )
 
