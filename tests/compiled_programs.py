@@ -3,6 +3,7 @@
 import numpy as np
 
 from spdz import absolute, beaver_dot, beaver_multiply, dot, mask, multiply, nonnegative, round_exactly
+from spdz.rounds.coroutine import check
 from spdz.values.value import concatenate
 
 
@@ -67,6 +68,13 @@ async def _outer(engine, x, y):
 async def _other_axes(engine, x, y):
     a, b = x[:6].reshape(2, 3), y[:6].reshape(2, 3)
     return multiply(a, b).sum(0) + a.sum(0) - b[:, ::-1].sum(0)
+
+
+async def _checked_on_its_way(engine, x, y):
+    (z,) = await mask(dot(x, y))
+    if engine.malicious:
+        await check()
+    return multiply(z, x[0])
 
 
 async def _rows(engine, x, y):
