@@ -107,3 +107,9 @@ async def _beaver(engine, x, y):
 
 PROGRAMS = {name: one for name, one in globals().items() if name[0] == "_" and getattr(one, "__code__", None)}
 """By name."""
+
+SHORT, LONG = 1.0, 2.0**22
+"""Norms for which inputs have masks of short words, or of whole elements."""
+
+for one in PROGRAMS.values():
+    one.max_norm = SHORT
