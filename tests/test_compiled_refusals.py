@@ -1,12 +1,14 @@
 """What compiled code refuses, it refuses as the ordinary reading does: at the same place, in its words."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from compiled_helpers import FORGED, SECURITIES, Lane, deal, hold, unit_vectors
 
 from protocols import is_candidate
 from protocols.scores import S4, S6, S7, S10
-from spdz import MacCheckFailed, ProtocolViolation, TapeDamaged, absolute, dot, multiply, nonnegative
+from spdz import MacCheckFailed, ProtocolViolation, TapeDamaged, absolute, dot, mask, multiply, nonnegative
 from spdz.arithmetic.field import P
 from spdz.foundations.errors import Unsent, Wrapped
 from spdz.readings.streams import JobStream
@@ -120,6 +122,25 @@ def test_elements_that_are_not_canonical_are_refused(program, security):
                     assert isinstance(outcome.error, ProtocolViolation)
                     assert "not a field element" in str(outcome.error)
                     assert len(outcome.frames) == number + 1
+
+
+async def _ignoring(engine, x, y):
+    """Neither y nor what is opened behind a mask is used."""
+    await mask(multiply(x, x))
+    return x[0]
+
+
+@any_length
+def test_what_is_received_is_looked_at_though_nothing_uses_it(n):
+    with patch.object(_ignoring, "max_norm", 1.0, create=True):
+        job = deal(_ignoring, unit_vectors(n), "semi-honest")
+        size = form_of(job)[0]
+        for index in (0, 1):
+            replies = job.frames[1 - index]
+            for number, word, length in ((0, 0, size), (1, P, 16)):
+                forged = changed(replies, number, with_word(replies[number], n - 1, word, length))
+                outcome = hold(job, index, forged)
+                assert isinstance(outcome.error, ProtocolViolation)
 
 
 def opened_as(job, index, number, opened):
