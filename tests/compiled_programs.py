@@ -3,6 +3,7 @@
 import numpy as np
 
 from spdz import absolute, beaver_dot, beaver_multiply, dot, mask, multiply, nonnegative, round_exactly
+from spdz.rounds.coroutine import check
 from spdz.values.value import concatenate
 
 
@@ -18,16 +19,21 @@ async def _public_numbers(engine, x, y):
 
 
 async def _negations(engine, x, y):
-    return -(x * -3) - y * -7 - 1
+    return -(x * -3) - y * -7 - 1 + (-x) * 2 + -(y[::-1])
 
 
 async def _long_factors(engine, x, y):
     """Words that outgrow 62 bits."""
-    return x * (1 << 22) - y * (1 << 38) + x * 5
+    barely = x * 255 + y * 255 + x[::-1] * 255 - y * (1 << 9)
+    return barely + x * (1 << 22) - y * (1 << 38) + x * 5
 
 
 async def _nothing_secret(engine, x, y):
     return dot(x, y) * 0 + 1.5
+
+
+async def _less_than_nothing(engine, x, y):
+    return dot(x, y) * 0 - dot(x, y) + (0 - dot(x, x))
 
 
 async def _nothing_at_all(engine, x, y):
@@ -57,6 +63,18 @@ async def _itself(engine, x, y):
 
 async def _outer(engine, x, y):
     return multiply(x[:9].reshape(-1, 1), y[:8].reshape(1, -1)).sum().sum()
+
+
+async def _other_axes(engine, x, y):
+    a, b = x[:6].reshape(2, 3), y[:6].reshape(2, 3)
+    return multiply(a, b).sum(0) + a.sum(0) - b[:, ::-1].sum(0)
+
+
+async def _checked_on_its_way(engine, x, y):
+    (z,) = await mask(dot(x, y))
+    if engine.malicious:
+        await check()
+    return multiply(z, x[0])
 
 
 async def _rows(engine, x, y):
@@ -89,3 +107,9 @@ async def _beaver(engine, x, y):
 
 PROGRAMS = {name: one for name, one in globals().items() if name[0] == "_" and getattr(one, "__code__", None)}
 """By name."""
+
+SHORT, LONG = 1.0, 2.0**22
+"""Norms for which inputs have masks of short words, or of whole elements."""
+
+for one in PROGRAMS.values():
+    one.max_norm = SHORT

@@ -8,7 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from compiled_helpers import SECURITIES, deal, hold_honest, unit_vectors
-from compiled_programs import PROGRAMS
+from compiled_programs import LONG, PROGRAMS, SHORT
 from random_programs import draw
 
 import spdz
@@ -49,8 +49,10 @@ def test_random_programs_are_compiled_as_they_are_read(few):
 @pytest.mark.parametrize("name", PROGRAMS)
 @pytest.mark.parametrize("n", [10, 70])
 def test_a_program_is_compiled_as_it_is_read(name, n):
-    for security in SECURITIES:
-        hold_honest(deal(PROGRAMS[name], unit_vectors(n), security))
+    for norm in (SHORT, LONG):
+        with patch.object(PROGRAMS[name], "max_norm", norm):
+            for security in SECURITIES:
+                hold_honest(deal(PROGRAMS[name], unit_vectors(n), security))
 
 
 @pytest.mark.parametrize("n", [5, 70])

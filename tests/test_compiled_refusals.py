@@ -1,12 +1,14 @@
 """What compiled code refuses, it refuses as the ordinary reading does: at the same place, in its words."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from compiled_helpers import FORGED, SECURITIES, Lane, deal, hold, unit_vectors
 
 from protocols import is_candidate
 from protocols.scores import S4, S6, S7, S10
-from spdz import MacCheckFailed, ProtocolViolation, TapeDamaged, dot, nonnegative
+from spdz import MacCheckFailed, ProtocolViolation, TapeDamaged, absolute, dot, mask, multiply, nonnegative
 from spdz.arithmetic.field import P
 from spdz.foundations.errors import Unsent, Wrapped
 from spdz.readings.streams import JobStream
@@ -121,13 +123,40 @@ def test_elements_that_are_not_canonical_are_refused(program, security):
                     assert len(outcome.frames) == number + 1
 
 
+async def _ignoring(engine, x, y):
+    """Neither y nor what is opened behind a mask is used."""
+    await mask(multiply(x, x))
+    return x[0]
+
+
+@any_length
+def test_what_is_received_is_looked_at_though_nothing_uses_it(n):
+    with patch.object(_ignoring, "max_norm", 1.0, create=True):
+        job = deal(_ignoring, unit_vectors(n), "semi-honest")
+        size = form_of(job)[0]
+        for index in (0, 1):
+            replies = job.frames[1 - index]
+            for number, word, length in ((0, 0, size), (1, P, 16)):
+                forged = changed(replies, number, with_word(replies[number], n - 1, word, length))
+                outcome = hold(job, index, forged)
+                assert isinstance(outcome.error, ProtocolViolation)
+
+
 def opened_as(job, index, number, opened):
     """The peer's frame that makes every number of an opening this one."""
-    own = words_of(job.frames[index][number], 16)
-    return b"".join(((opened - share) % P).to_bytes(16, "little") for share in own)
+    return b"".join(one.to_bytes(16, "little") for one in opened_words(job, index, number, opened))
 
 
-@pytest.mark.parametrize("program", [S4.within(1.0), is_candidate(S7.within(1.0), 0.5)])
+def opened_words(job, index, number, opened):
+    return [(opened - share) % P for share in words_of(job.frames[index][number], 16)]
+
+
+async def _sizes(engine, x, y):
+    """A number an entry is opened behind a mask."""
+    return await absolute(multiply(x, y))
+
+
+@pytest.mark.parametrize("program", [S4.within(1.0), is_candidate(S7.within(1.0), 0.5), _sizes])
 def test_an_opening_that_may_have_wrapped_is_given_up_after_a_check(program):
     for n in (4, 70):
         for security in SECURITIES:
@@ -140,6 +169,10 @@ def test_an_opening_that_may_have_wrapped_is_given_up_after_a_check(program):
                     replies.append(FORGED)
                 outcome = hold(job, index, replies)
                 assert isinstance(outcome.error, Wrapped) and len(outcome.frames) == len(replies)
+                last = len(job.frames[index][1]) // 16 - 1  # one of many is enough
+                one = with_word(job.frames[1 - index][1], last, opened_words(job, index, 1, 3)[last], 16)
+                outcome = hold(job, index, [replies[0], one, *replies[2:]])
+                assert isinstance(outcome.error, Wrapped)
 
 
 @pytest.mark.parametrize("program", [_bits, _bit])

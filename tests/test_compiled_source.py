@@ -11,7 +11,8 @@ from protocols import is_candidate
 from protocols.scores import S2, S4, S8, S10
 from spdz import dot, maximum
 from spdz.arithmetic.field import to_list
-from spdz.compiled.record import compiled
+from spdz.compiled.record import TracedCheck, compiled
+from spdz.compiled.ring import TracedRing
 from spdz.compiled.slots import NotCompiled, Slot
 from spdz.compiled.trace import Trace
 from spdz.rounds.wire import ELEMENT_BYTES
@@ -122,6 +123,14 @@ def test_one_computation_is_written_down_once():
     sent = [trace.note("yield {0}", a, form="other", kind="effect") for _ in range(2)]
     assert sent[0] is not sent[1]
     assert not a.early and not first.early
+
+
+def test_bits_that_were_opened_wait_for_a_check():
+    ring = TracedRing(Trace())
+    check = TracedCheck(ring, Slot("alpha", "one", (), early=True), 0)
+    assert not check.pending
+    check.record_bits(ring.trace.note("bits", form="other", effect=True))
+    assert check.pending and ring.trace.operations[-1].effect
 
 
 def test_a_result_that_is_no_number_of_the_codes_is_not_compiled():
