@@ -125,6 +125,21 @@ def test_words_and_shares_are_those_of_the_model(levels):
         assert both[1][i] == model.evaluate(delta1[i], first1[i], expected, x[i], levels)
 
 
+@pytest.mark.parametrize("levels", [1, 2, 64, 65, 127])
+def test_few_keys_are_walked_like_many(levels, monkeypatch):
+    n = 7
+    pads, rng = Pads(n), np.random.default_rng(levels)
+    a, x = (words([int.from_bytes(rng.bytes(16), "little") % (1 << levels) for _ in range(n)]) for _ in "ax")
+    batches = [(slice(0, 2), KEY), (slice(2, 3), KEY[::-1]), (slice(3, n), bytes(16))]
+    first0, corrections = deal_tree(a, levels, *pads.delta, pads.first1, batches)
+    for delta, first in zip(pads.delta, (first0, pads.first1), strict=True):
+        results = []
+        for few in (0, n):
+            monkeypatch.setattr(half_tree, "_FEW", few)
+            results.append(evaluate_tree(delta, first, corrections, x, levels, batches))
+        assert np.array_equal(*results)
+
+
 @pytest.mark.parametrize("k", [0, 1, 2, 3])
 def test_several_points_are_walked_like_one(k):
     n, levels = 40, 9

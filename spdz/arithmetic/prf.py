@@ -22,6 +22,7 @@ CHAIN_BYTES = 32
 """Length of a chain value and of a job key."""
 
 _BLOCK = 16
+_LOW64 = (1 << 64) - 1
 _ZERO_COUNTER = bytes(_BLOCK)
 _NEXT = b"spdz prf v1: next chain\0"
 _JOB = b"spdz prf v1: job key\0"
@@ -178,6 +179,21 @@ class CircularHash:
         if end != n:
             raise ValueError(f"the batches cover {end} blocks, not {n}")
         self._ends = [last for _, last, _ in self._batches]
+
+    def of_block(self, block: int) -> Callable[[int], int]:
+        """The hash of one of the blocks, as integers."""
+        _, _, update = self._batches[bisect_right(self._ends, block)]
+        # update_into asks for room for one more block, less a byte, than it writes.
+        room = bytearray(2 * _BLOCK)
+        encrypted = memoryview(room)[:_BLOCK]
+
+        def run(number: int) -> int:
+            high = number >> 64
+            sigma = high | (high ^ number & _LOW64) << 64
+            update(sigma.to_bytes(_BLOCK, "little"), room)
+            return int.from_bytes(encrypted, "little") ^ sigma
+
+        return run
 
     def bind(self, start: int, inp: _Words, out: _Words) -> Callable[[], None]:
         """A function that hashes m of the blocks, from the block ``start`` on, each time that it is called.
