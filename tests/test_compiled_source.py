@@ -129,7 +129,7 @@ def test_bits_that_were_opened_wait_for_a_check():
     ring = TracedRing(Trace())
     check = TracedCheck(ring, Slot("alpha", "one", (), early=True), 0)
     assert not check.pending
-    check.record_bits(ring.trace.note("bits", form="other", effect=True))
+    check.record_bits(ring.trace.note("bits", form="other", kind="effect"))
     assert check.pending and ring.trace.operations[-1].effect
 
 

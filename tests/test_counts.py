@@ -9,7 +9,7 @@ from spdz.tape import Tape
 
 RECORDED = recorded()
 FRAME_HEADER, ELEMENT = 16, 16
-WORDS = {1: 6, 7: 7, 16: 7, 1536: 8}
+WORDS = {1: 6, 7: 6, 16: 6, 1536: 7}
 """Bytes of a masked coordinate on the line, by length (docs/spec/protocols.md, 4)."""
 
 

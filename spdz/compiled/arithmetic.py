@@ -32,6 +32,11 @@ _WORD = 62
 """Bits of the longest short integers: a sum of two does not wrap."""
 
 
+def _bits(sign: str, a: Slot, b: Slot) -> int:
+    """Of a sum or product of integers."""
+    return a.bits + b.bits if sign == "*" else 1 + max(a.bits, b.bits)
+
+
 class TracedArithmetic(TracedShapes):
     """What computes."""
 
@@ -71,7 +76,7 @@ class TracedArithmetic(TracedShapes):
                 return a
             if a.literal == 0 and sign == "+" and b.shape == shape:
                 return b
-            return self._pairwise(sign, shape, a, b, 1 + max(a.bits, b.bits))
+            return self._pairwise(sign, shape, a, b)
         if a.form == b.form == "words":
             # Two that are not negative differ by no more than the larger.
             grows = sign == "+" or not (a.reduced and b.reduced)
@@ -82,11 +87,11 @@ class TracedArithmetic(TracedShapes):
                 return self.trace.note(text, a, b, form="words", shape=shape, bits=bits, reduced=positive)
         return self._arrays(kernel, shape, a, b)
 
-    def _pairwise(self, sign: str, shape: Shape, a: Slot, b: Slot, bits: int) -> Slot:
-        a, b = self._slim(bits, a, b)
+    def _pairwise(self, sign: str, shape: Shape, a: Slot, b: Slot) -> Slot:
+        a, b = self._slim(_bits(sign, a, b), a, b)
         form = few(shape)
-        if a.form == b.form == "one":
-            text = f"{{0}} {sign} {{1}}" if form == "one" else f"[{{0}} {sign} {{1}}] * {prod(shape)}"
+        if form == "one":
+            text = f"{{0}} {sign} {{1}}"
         elif b.form == "one":
             a, text = self.broadcast(a, shape), f"[v {sign} {{1}} for v in {{0}}]"
         elif a.form == "one":
@@ -94,8 +99,7 @@ class TracedArithmetic(TracedShapes):
         else:
             a, b = self.broadcast(a, shape), self.broadcast(b, shape)
             text = f"[v {sign} w for v, w in zip({{0}}, {{1}})]"
-        bits = a.bits + b.bits if sign == "*" else 1 + max(a.bits, b.bits)
-        return self.trace.note(text, a, b, form=form, shape=shape, bits=bits, reduced=False)
+        return self.trace.note(text, a, b, form=form, shape=shape, bits=_bits(sign, a, b), reduced=False)
 
     def sum(self, a: Any, axis: int) -> Any:
         """Sum over one axis."""
@@ -124,7 +128,7 @@ class TracedArithmetic(TracedShapes):
             a, b = self.numbers(a), self.numbers(b)
             if 0 in (a.literal, b.literal):
                 return self.zeros(shape)
-            return self._pairwise("*", shape, a, b, a.bits + b.bits)
+            return self._pairwise("*", shape, a, b)
         for one, many in ((a, b), (b, a)):
             if one.size == 1:
                 text = f"{self._name(field.scale)}({{0}}, {{1}})"

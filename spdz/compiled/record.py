@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any
 
 from spdz.compiled.dealt import TracedStream
@@ -19,7 +20,11 @@ from spdz.values.engine import Input
 
 
 class TracedCheck:
-    """Stands for the session's MAC check: what is opened is written down as a step of its next hash."""
+    """Stands for the session's MAC check: what is opened is written down as a step of its next hash.
+
+    Whether anything is pending is known when the code is made, although the session's check is shared by all
+    lanes of a run: they run the same code, so that each has pending what every other has.
+    """
 
     def __init__(self, ring: TracedRing, alpha: Slot, party: int) -> None:
         self._ring, self._alpha, self._party = ring, alpha, party
@@ -53,7 +58,7 @@ class TracedParty(Party):
 
     def tree(self, kind: str, shape: Shape, levels: int, *, top: bool) -> Any:
         """Half-tree keys, drawn as they are by a party."""
-        self._stats.book(kind, Slot("", "few", shape).size)
+        self._stats.book(kind, prod(shape))
         return self._stream.drawn(draw_tree, self.index, shape, levels, top)  # type: ignore[union-attr]
 
 
@@ -85,7 +90,7 @@ def compiled(program: Program, plan: Plan, party: int, security: Security) -> St
 
 def _with_data(trace: Trace, source: Input) -> Input:
     """The own input: integers, or an array of them."""
-    size, bits = Slot("", "few", source.shape).size, source.norm.bit_length()
+    size, bits = prod(source.shape), source.norm.bit_length()
     form: Form = "one" if size == 1 else "few" if size <= FEW else "words"
     text = {"one": "data.item()", "few": "data.tolist()", "words": "data"}[form]
     data: Any = trace.note(text, form=form, shape=source.shape, bits=bits, reduced=False, kind="effect")

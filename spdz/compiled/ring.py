@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
+from math import prod
 from typing import Any
 
 from spdz.arithmetic import field, unreduced
@@ -100,13 +101,13 @@ class TracedRing(TracedArithmetic):
             difference = self.sub(x, r)
             checked = "[{0}]" if difference.form == "one" else "{0}"
             self.trace.do(f"{self._name(kernels.check_hidden)}({checked}, {ends})", difference)
-            return self._known(difference, bits)
+            return self._known_as(difference, bits)
         text = f"{self._name(kernels.hidden_words)}({{0}}, {{1}}, {ends})"
         words = self.trace.note(text, x, r, form="words", shape=x.shape, bits=bits, kind="effect")
         self._origins[words.name] = (x, r)
         return words
 
-    def _known(self, a: Slot, bits: int) -> Slot:
+    def _known_as(self, a: Slot, bits: int) -> Slot:
         """The same integers, of which more is known."""
         return Slot(a.name, a.form, a.shape, bits, True, a.early)
 
@@ -159,7 +160,7 @@ class TracedRing(TracedArithmetic):
         if not self._is_few(shape):
             text = f"{self._name(from_bytes)}({{0}}, {shape})"
             return self.trace.note(text, raw.slot, form="many", shape=shape, kind="effect")
-        slot, count = raw.slot, Slot("", "few", shape).size
+        slot, count = raw.slot, prod(shape)
         if count == 1:
             return self.trace.note(
                 f"{self._name(kernels.element_of)}({{0}})", slot, form="one", shape=shape, kind="effect"

@@ -194,6 +194,7 @@ class Session(Conversing):
                 f"{len(inputs)} jobs at once could need frames of {largest >> 20} MB, above the limit of "
                 f"{MAX_FRAME >> 20} MB: run fewer at once"
             )
+        code = self._programs.code(program)
         with self._guard():
             self._agreement.program(plan.text, len(inputs), program)
             if len(inputs) > len(self._reserved):
@@ -202,7 +203,6 @@ class Session(Conversing):
             if jobs:  # frames of other jobs than the peer's are refused
                 self._channel.bind((self._tag + jobs[0].index) & 0xFFFFFFFF)
             stats = Stats()
-            code = self._programs.code(program)
             lanes = [
                 self._lane(program, code, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)
             ]
