@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.parties import free_port, pin, run_processes
+from bench.sweep.ahead import Ahead, reserved
 from dealer.tapes import deal_tapes
 from spdz.channels import Channel
 from spdz.channels.tcp import connect, listen
@@ -42,11 +43,12 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One process's figures: seconds a trial, the last value, costs of one trial."""
+    """One process's figures: seconds a trial, the last value, costs of one trial, and what was done ahead."""
 
     seconds: list[float]
     value: Any
     stats: Stats
+    ahead: Ahead | None = None
 
 
 def measure_secure(
@@ -77,30 +79,30 @@ def _channel(index: int, task: Task) -> Channel:
     return listen(address, wait=30.0) if index == 0 else connect(address, wait=30.0)
 
 
-def _timed(trials: int, once: Callable[[], tuple[Any, Stats]]) -> Measured:
+def _timed(trials: int, once: Callable[[], tuple[Any, Stats]], ahead: Ahead | None = None) -> Measured:
     seconds = []
     value, stats = None, Stats()
     for _ in range(trials + WARM_UP):
         started = time.perf_counter()
         value, stats = once()
         seconds.append(time.perf_counter() - started)
-    return Measured(seconds[WARM_UP:], value, stats)
+    return Measured(seconds[WARM_UP:], value, stats, ahead)
 
 
 def _secure_party(index: int, task: Task, pipe: Any) -> None:
-    """Timed: quantise, mask, exchange, compute, open, check, decode. Not: reading the tape and its pads."""
+    """Timed: quantise, mask, exchange, compute, open, check, decode; apart from it, what is done ahead."""
     pin(index)
     if task.tapes is None:
         raise ValueError("a secure party needs a tape")
     tape = Tape.open(task.tapes[index], state_dir=task.state)
     with Session(tape, _channel(index, task)) as session:
-        session.reserve(task.trials + WARM_UP, task.program)
+        ahead = reserved(session, task.trials + WARM_UP, task.program)
 
         def once() -> tuple[Any, Stats]:
             result = session.run(task.program, task.inputs[index])
             return result.value, result.stats
 
-        pipe.send(_timed(task.trials, once))
+        pipe.send(_timed(task.trials, once, ahead))
 
 
 def _clear_party(index: int, task: Task, pipe: Any) -> None:

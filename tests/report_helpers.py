@@ -20,6 +20,11 @@ def ms(protocol, score, n, trial):
     return _LEVEL[protocol] * slow * (1 + n / 4096) * (0.9, 1.0, 1.4)[trial % 3]
 
 
+def ahead_ms(protocol, n):
+    """Milliseconds ahead of a comparison."""
+    return 0.125 * _LEVEL[protocol] * (1 + n / 4096) if protocol in MODELS else None
+
+
 def sent(protocol, score, n):
     """Bytes of both parties."""
     return (8 * n, 8 * n) if protocol not in MODELS else (8 * n + 64, 8 * n + 80 + len(score))
@@ -33,6 +38,7 @@ def trial(protocol, score, n, number, *, profiled=False):
     row |= {"rounds": (3 if protocol == "malicious" else 2) if secure else 1}
     row |= {"tape_bytes": [16 * n + 16, 16 * n] if secure else [0, 0], "error": 1e-5 if secure else None}
     row |= {"floor_ms": 0.05 if secure else None, "phases": None}
+    row |= {"ahead_ms": ahead_ms(protocol, n), "compile_ms": 7.5 if secure else None}
     if profiled:
         row |= {"profiled": True, "phases": {name: time * (at + 1) / 42 for at, name in enumerate(PHASES)}}
     return row

@@ -177,6 +177,7 @@ def test_the_bench_prints_one_json_object_a_line():
     }
     for row in rows:
         assert {"n", "security", "trials", "median_ms", "bytes_sent", "rounds", "tape_bytes"} <= set(row)
+        assert row["ahead_ms"] is None if row["engine"] == "clear" else row["ahead_ms"] > 0
         assert row["max_abs_error"] == 0.0
 
 

@@ -130,7 +130,7 @@ def test_bits_that_were_opened_wait_for_a_check():
     check = TracedCheck(ring, Slot("alpha", "one", (), early=True), 0)
     assert not check.pending
     check.record_bits(ring.trace.note("bits", form="other", kind="effect"))
-    assert check.pending and ring.trace.operations[-1].effect
+    assert check.pending and ring.trace.operations[-1].kind == "record"
 
 
 def test_a_result_that_is_no_number_of_the_codes_is_not_compiled():

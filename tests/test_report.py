@@ -6,7 +6,7 @@ import statistics
 import sys
 
 import pytest
-from report_helpers import QUICK, WHOLE, lines, ms, versus, write, write_lines
+from report_helpers import QUICK, WHOLE, ahead_ms, lines, ms, versus, write, write_lines
 
 import bench.cli
 from bench.recorded import recorded
@@ -17,6 +17,7 @@ from bench.report.cells import MODELS
 from bench.report.folder import read_results
 from bench.report.sections import mean_factors, sections
 from bench.report.table import NOTHING, amount, milliseconds, times
+from bench.sweep.ahead import ABOUT
 
 pytest.importorskip("matplotlib")
 
@@ -107,6 +108,7 @@ def test_ratios_are_theirs_by_ours(whole):
     found = recorded("S4", 1536, "malicious")[0]
     median = ms("malicious", "S4", 1536, 1)
     assert one.ms == pytest.approx(found.ms / median)
+    assert one.with_ahead == pytest.approx(found.ms / (median + ahead_ms("malicious", 1536)))
     assert one.sent == found.bytes_sent / (8 * 1536 + 82)
     assert one.rounds == found.rounds / 3
     mean = statistics.fmean(ms("malicious", "S4", 1536, number) for number in range(3))
@@ -117,8 +119,24 @@ def test_the_last_row_has_geometric_means(whole):
     for model in MODELS:
         (table,) = [one for one in ratios.tables(whole) if one.title.endswith(f", {model}")]
         found = [one.ms for one in ratios.besides(whole, model) if one.ms is not None]
-        assert table.rows[-1][6] == times(statistics.geometric_mean(found))
+        assert table.rows[-1][7] == times(statistics.geometric_mean(found))
         assert mean_factors(whole, model)["time"] == pytest.approx(statistics.geometric_mean(found))
+        strict = [one.with_ahead for one in ratios.besides(whole, model) if one.with_ahead is not None]
+        assert len(strict) == len(found) and table.rows[-1][8] == times(statistics.geometric_mean(strict))
+        mean = mean_factors(whole, model)
+        assert mean["time_with_ahead"] == pytest.approx(statistics.geometric_mean(strict))
+        assert mean["time_with_ahead"] < mean["time"]
+
+
+def test_without_what_is_done_ahead_there_is_no_stricter_ratio(tmp_path):
+    write(tmp_path)
+    write_lines(tmp_path / "trials.jsonl", [row | {"ahead_ms": None} for row in lines(QUICK)])
+    results = read_results(tmp_path)
+    for model in MODELS:
+        means = mean_factors(results, model)
+        assert means["time_with_ahead"] is None and means["time"]
+    (table,) = floor.tables(results)
+    assert {row[table.head.index("ahead ms")] for row in table.rows[:-1]} == {NOTHING}
 
 
 def test_the_product_is_of_cells_that_both_runs_have(whole):
@@ -162,9 +180,18 @@ def test_every_time_stands_above_its_floor(whole):
     (row,) = rows_of(table, "256", "S10")
     clear, ours, theirs = (ms(kind, "S10", 256, 1) for kind in ("numpy", "malicious", "semi-honest"))
     assert row[2] == milliseconds(clear)
-    for at, time in ((3, ours), (7, theirs)):
+    for at, time, model in ((3, ours, "malicious"), (8, theirs, "semi-honest")):
         assert row[at : at + 4] == (milliseconds(time), "0.050", times(time / 0.05), times(time / clear))
+        assert row[at + 4] == milliseconds(ahead_ms(model, 256)) and table.head[at + 4] == "ahead ms"
     assert len(table.rows) == 90 + 1
+    assert all(len(one) == len(table.head) == sum(span for _, span in table.groups) for one in table.rows)
+
+
+def test_what_is_done_ahead_is_named(whole):
+    words = all_words(whole)
+    assert " ".join(ABOUT.split()) in words and "7.500 ms" in words
+    notes = [note for one in ratios.tables(whole) for note in one.notes]
+    assert f"x with ahead: {ratios.STRICTER}" in notes and "stricter" in ratios.STRICTER
 
 
 def test_phases_are_those_of_the_profiled_trial(whole):

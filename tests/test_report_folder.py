@@ -69,6 +69,8 @@ def test_cells_in_words_are_grouped():
         ({"protocol": "mascot"}, "no cell mascot"),
         ({"score": "S11"}, "no cell malicious S11"),
         ({"n": 0}, "no cell malicious S10 0"),
+        ({"ahead_ms": -1}, "ahead_ms is -1"),
+        ({"compile_ms": "long"}, "compile_ms is 'long'"),
         ({"phases": {"mask": 1}}, "has no 'network'"),
     ],
 )
@@ -80,7 +82,7 @@ def test_a_damaged_line_is_named(tmp_path, change, words):
     assert words in said and "trials.jsonl, line 3" in said
 
 
-@pytest.mark.parametrize("key", ["protocol", "score", "n", "trial", "ms", "bytes_sent"])
+@pytest.mark.parametrize("key", ["protocol", "score", "n", "trial", "ms", "bytes_sent", "ahead_ms"])
 def test_a_line_without_a_field_is_named(tmp_path, key):
     write(tmp_path)
     row = trial("malicious", "S10", 16, 0)

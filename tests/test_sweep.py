@@ -1,5 +1,6 @@
 """``python -m bench sweep`` as a command: what it measures, and how it goes on after a stop."""
 
+import csv
 import json
 import os
 import signal
@@ -7,10 +8,12 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from itertools import groupby
 
 import numpy as np
 import pytest
 
+from bench.sweep.ahead import ABOUT as ABOUT_AHEAD
 from bench.sweep.results import ABOUT, TABLE, TRIALS, read_about, read_trials
 from protocols.scores import SCORES
 from spdz.channels.frames import HEADER_BYTES
@@ -57,6 +60,8 @@ def test_every_cell_is_measured_and_told(measured):
         secure = row["protocol"] in PROTOCOLS[:2]
         assert bool(row["phases"]) == secure and (sum(row["tape_bytes"]) > 0) == secure
         assert row["messages"] == 2 * row["rounds"]
+        for name in ("ahead_ms", "compile_ms"):
+            assert row[name] > 0 if secure else row[name] is None
 
 
 def test_the_floor_is_told_and_lower(measured):
@@ -90,6 +95,13 @@ def test_the_folder_holds_what_was_told(measured):
     assert Counter(trial.cell.protocol for trial in trials)["malicious"] == 4 * 3
     about = read_about(folder)
     assert about.finished and about.trials == 2 and not about.quick and about.machine["cpu"]
+    for cell, rows_of in groupby(trials, lambda trial: trial.cell):
+        figures = {(trial.ahead_ms, trial.compile_ms) for trial in rows_of}
+        assert len(figures) == 1 and ((None, None) in figures) == (cell.protocol not in PROTOCOLS[:2])
+    with (folder / TABLE).open(newline="") as stream:
+        assert all(
+            bool(row["ahead_ms"]) == (row["protocol"] in PROTOCOLS[:2]) for row in csv.DictReader(stream)
+        )
     assert about.command.startswith("python -m bench sweep --scores S10 S2")
     assert (folder / TABLE).read_text().count("\n") == 1 + 2 * len(rows)
 
@@ -165,3 +177,4 @@ def test_bad_arguments_are_refused(tmp_path, words):
 def test_help_teaches():
     done = sweep("--help")
     assert done.returncode == 0 and "examples:" in done.stdout and "CowGear" in done.stdout
+    assert ABOUT_AHEAD in done.stdout and "It is not in ms" in done.stdout

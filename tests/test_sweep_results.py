@@ -33,9 +33,12 @@ def about(**changes):
 
 
 def trials(protocol="malicious", score="S10", n=16, ms=1.0):
-    first = Trial(protocol, score, n, 0, ms, [64, 72], 3, 6, [5, 6], 1e-5, 0.1)
+    first = Trial(protocol, score, n, 0, ms, [64, 72], 3, 6, [5, 6], 1e-5, 0.1, 0.25, 9.0)
     profiled = [first.but(trial=PROFILED, error=None, phases={"rest": ms})]
     return [*(first.but(trial=k, ms=ms + k) for k in range(COUNT)), *profiled * (protocol == "malicious")]
+
+
+LINE = json.dumps(Trial("numpy", "S10", 16, 0, 1.0, [1, 1], 1, 2, [0, 0], 0.0, 0.1).as_dict()) + "\n"
 
 
 def fill(folder, *cells):
@@ -65,6 +68,7 @@ def test_the_table_has_a_line_a_measured_trial(tmp_path):
         ("cpp", "1"),
     ]
     assert rows[0]["bytes_sent_1"] == "72" and rows[0]["tape_bytes_0"] == "5" and "phases" not in rows[0]
+    assert rows[0]["ahead_ms"] == "0.25" and rows[0]["compile_ms"] == "9.0"
     assert table([]).count("\n") == 1
 
 
@@ -129,6 +133,7 @@ def test_two_sweeps_do_not_write_to_one_folder(tmp_path):
     [
         (TRIALS, "no json\n", "no trial"),
         (TRIALS, '{"protocol": "malicious"}\n', "no trial"),
+        (TRIALS, LINE.replace('"ahead_ms": null, ', ""), "no trial.*ahead_ms"),
         (ABOUT, "{", "not about a sweep"),
         (ABOUT, '{"format": 2}', "format 2, expected 1"),
     ],

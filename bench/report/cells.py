@@ -72,6 +72,21 @@ class Cell:
         return statistics.median(found) if found else None
 
     @property
+    def ahead_ms(self) -> float | None:
+        """What is done ahead of a comparison, by the number of jobs; None where nothing is."""
+        return self.trials[0].ahead_ms
+
+    @property
+    def compile_ms(self) -> float | None:
+        """Compiling the program, once a session; None where nothing is compiled."""
+        return self.trials[0].compile_ms
+
+    @property
+    def whole_ms(self) -> float | None:
+        """The median time and what is done ahead; None where that was not measured."""
+        return None if self.ahead_ms is None else self.median_ms + self.ahead_ms
+
+    @property
     def error(self) -> float | None:
         """The largest deviation from the clear score; None where there is none to have."""
         return max((trial.error for trial in self.trials if trial.error is not None), default=None)

@@ -1,12 +1,17 @@
-"""The floor: beside every time, the same frames over a bare socket, and the exchange in the clear."""
+"""The floor: beside every time, the same frames over a bare socket, and the exchange in the clear.
+
+And what is done ahead, which is in none of these times.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from statistics import median
 
 from bench.report.cells import MODELS, Cell
 from bench.report.folder import Results
 from bench.report.table import Table, mean_ratio, milliseconds, ratio, times
+from bench.sweep.ahead import ABOUT
 from protocols.scores import SCORES
 
 
@@ -19,6 +24,19 @@ def above_clear(results: Results, cell: Cell | None) -> float | None:
     """How many times the exchange in the clear a cell takes."""
     clear = None if cell is None else results.cell("numpy", cell.score, cell.n)
     return None if cell is None or clear is None else ratio(cell.median_ms, clear.median_ms)
+
+
+def ahead_words(results: Results) -> Iterator[str]:
+    """What is done ahead, and how long programs took to compile; nothing where it was not measured."""
+    cells = [cell for cell in results.cells.values() if cell.protocol in MODELS]
+    compiled = [cell.compile_ms for cell in cells if cell.compile_ms is not None]
+    if any(cell.ahead_ms is not None for cell in cells):
+        yield " ".join(ABOUT.split())
+    if compiled:
+        yield (
+            f"Neither holds reading and compiling the program, once a session: {milliseconds(min(compiled))} "
+            f"to {milliseconds(max(compiled))} ms, the median cell's {milliseconds(median(compiled))} ms."
+        )
 
 
 def tables(results: Results) -> Iterator[Table]:
@@ -36,6 +54,7 @@ def tables(results: Results) -> Iterator[Table]:
                 ours, floor = (None, None) if cell is None else (cell.median_ms, cell.floor_ms)
                 figures += [milliseconds(ours), milliseconds(floor), times(above_socket(cell))]
                 figures.append(times(above_clear(results, cell)))
+                figures.append(milliseconds(None if cell is None else cell.ahead_ms))
             rows.append(
                 (str(n), score, milliseconds(None if clear is None else clear.median_ms), *figures)
             )  # fmt: skip
@@ -45,17 +64,18 @@ def tables(results: Results) -> Iterator[Table]:
     if not rows:
         return
     means = [times(mean_ratio(one)) for one in zip(*factors, strict=True)]
-    rows.append(("", "mean", "", "", "", *means[:2], "", "", *means[2:]))
+    rows.append(("", "mean", "", "", "", *means[:2], "", "", "", *means[2:], ""))
     yield Table(
         "Times above the floor",
-        ("N", "ID", "ms", *("ms", "socket ms", "x socket", "x clear") * len(MODELS)),
+        ("N", "ID", "ms", *("ms", "socket ms", "x socket", "x clear", "ahead ms") * len(MODELS)),
         rows,
         2,
-        (("", 2), ("clear", 1), *((model, 4) for model in MODELS)),
+        (("", 2), ("clear", 1), *((model, 5) for model in MODELS)),
         frozenset({len(rows) - 1}),
         (
             "Medians. socket: the same frames, in their sizes and order, over the same kind of socket in "
             "bare Python, with nothing computed. clear: the descriptors themselves are sent and compared by "
-            "NumPy. x: ours by that. mean: geometric means.",
+            "NumPy. x: ours by that. mean: geometric means. ahead: done before the inputs are known, in none "
+            "of the other figures.",
         ),
     )

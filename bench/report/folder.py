@@ -173,6 +173,9 @@ def _trial(row: dict[str, Any]) -> Trial:
         _number(trial.error, "error")
     if trial.floor_ms is not None:
         _positive(row, "floor_ms")
+    for name in ("ahead_ms", "compile_ms"):
+        if row[name] is not None:
+            _number(row[name], name)
     if trial.phases is not None:
         for name in PHASES:
             _number(trial.phases[name], name)

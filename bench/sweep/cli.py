@@ -15,6 +15,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from bench.sweep.ahead import ABOUT as ABOUT_AHEAD
 from bench.sweep.baseline import Baseline, compiled, compiler_version, find_compiler
 from bench.sweep.cells import PROTOCOLS, QUICK_TRIALS, SIZES, TRIALS, Cell, cells
 from bench.sweep.floor import WARM_UP
@@ -38,12 +39,16 @@ _EPILOG = f"""\
 
 Two processes, pinned to a core each where the system allows it, stay up for all cells. They compare over
 loopback TCP, {WARM_UP} times uncounted, then --trials times, each with other unit vectors, from plain floats
-to the opened and (malicious) MAC-checked score. A time is that of the slower party. Not timed: dealing,
-connecting, and reading the tape ahead. Beside every time stands its floor: the same frames, in sizes and
-order, over the same kind of socket in bare Python with nothing computed (the median of replays). One more
-trial runs under a profiler, to say where the time goes: its shares are rough, and it is in no other figure.
+to the opened and (malicious) MAC-checked score. A time is that of the slower party. Not timed: dealing and
+connecting. Beside every time stands its floor: the same frames, in sizes and order, over the same kind of
+socket in bare Python with nothing computed (the median of replays). One more trial runs under a profiler, to
+say where the time goes: its shares are rough, and it is in no other figure.
 The C++ baseline is compiled with the system's compiler ($CXX, or g++, clang++, c++) at -O3 and timed inside;
 without a compiler it is left out.
+
+{ABOUT_AHEAD}
+It is ahead_ms in every trial's line, one figure a cell; numpy and cpp have none. It is not in ms. Neither
+holds compile_ms: reading and compiling the program, once a session.
 
 Results go into a folder: sweep.json, trials.jsonl, sweep.csv. A sweep that is stopped or killed goes on
 where it was when the same command is given again; scores, sizes and protocols can be added to the same
@@ -139,8 +144,8 @@ def _measure(
         return
     if not options.json:
         print(
-            "{:12}{:>5}{:>6}{:>14}{:>10}{:>10}{:>7}{:>9}".format(
-                "protocol", "score", "N", "ms", "floor ms", "bytes", "rounds", "error"
+            "{:12}{:>5}{:>6}{:>14}{:>10}{:>10}{:>10}{:>7}{:>9}".format(
+                "protocol", "score", "N", "ms", "floor ms", "ahead ms", "bytes", "rounds", "error"
             )
         )
     with StandingPair() as pair, ExitStack() as stack:
@@ -158,9 +163,9 @@ def _print(trials: Sequence[Trial], place: str, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps(row), flush=True)
         return
-    floor = "-" if row["floor_ms"] is None else f"{row['floor_ms']:.3f}"
+    floor, ahead = ("-" if one is None else f"{one:.3f}" for one in (row["floor_ms"], row["ahead_ms"]))
     print(
-        f"{row['protocol']:12}{row['score']:>5}{row['n']:6}{row['median_ms']:14.6f}{floor:>10}"
+        f"{row['protocol']:12}{row['score']:>5}{row['n']:6}{row['median_ms']:14.6f}{floor:>10}{ahead:>10}"
         f"{max(row['bytes_sent']):10}{row['rounds']:7}{row['max_abs_error']:9.1e}  {place}",
         flush=True,
     )
@@ -180,6 +185,8 @@ def summary(trials: Sequence[Trial]) -> dict[str, Any]:
         "mean_ms": statistics.fmean(times),
         "std_ms": statistics.stdev(times) if len(times) > 1 else 0.0,
         "floor_ms": first.floor_ms,
+        "ahead_ms": first.ahead_ms,
+        "compile_ms": first.compile_ms,
         "bytes_sent": first.bytes_sent,
         "rounds": first.rounds,
         "messages": first.messages,

@@ -102,7 +102,7 @@ class Bench:
                 SecureWork(program, half, port, path, state) for half, path in zip((x, y), paths, strict=True)
             ]
             figures = self.pair.run(works[0], works[1])
-        trials = self._trials(cell, figures, stored)
+        trials = [trial.but(**_ahead(figures)) for trial in self._trials(cell, figures, stored)]
         return [*trials, _profiled(trials, figures[0])]
 
     def _trials(self, cell: Cell, figures: tuple[Figures, Figures], stored: Sequence[int]) -> list[Trial]:
@@ -169,6 +169,15 @@ def _trial(
         error=error,
         floor_ms=None if floor is None else _ms(floor),
     )
+
+
+def _ahead(figures: tuple[Figures, Figures]) -> dict[str, float]:
+    """What was done before the trials, of the slower party: it is the same of all of a cell."""
+    found = [one.ahead for one in figures if one.ahead is not None]
+    return {
+        "ahead_ms": _ms(max(one.a_job for one in found)),
+        "compile_ms": _ms(max(one.compiling for one in found)),
+    }
 
 
 def _profiled(trials: Sequence[Trial], figures: Figures) -> Trial:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.sweep.ahead import Ahead, reserved
 from bench.sweep.floor import WARM_UP, Frames, bare_trials, both_directions, recorded_frames
 from bench.sweep.phases import phases
 from bench.sweep.plain import PLAIN
@@ -39,6 +40,7 @@ class Figures:
         floor: Seconds of each replay of these frames.
         phases: Seconds of each phase of the profiled trial; empty where none was.
         profiled: Seconds of the profiled trial; 0 where none was.
+        ahead: What was done before the first trial; None where nothing is.
     """
 
     seconds: list[float]
@@ -47,13 +49,14 @@ class Figures:
     floor: list[float]
     phases: dict[str, float] = field(default_factory=dict)
     profiled: float = 0.0
+    ahead: Ahead | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class SecureWork:
     """A party's part of a secure cell: warm-up, trials, one more under a profiler in party 0, the floor.
 
-    Timed: quantise, mask, exchange, compute, open, check, decode. Not: reading the tape and its pads.
+    Timed: quantise, mask, exchange, compute, open, check, decode. Apart from it: what is done ahead.
 
     Attributes:
         program: The score.
@@ -74,7 +77,7 @@ class SecureWork:
         tape = Tape.open(self.tape, state_dir=self.state)
         channel = _channel(index, self.port)
         with Session(tape, channel) as session:
-            session.reserve(WARM_UP + len(self.vectors) + 1, self.program)
+            ahead = reserved(session, WARM_UP + len(self.vectors) + 1, self.program)
 
             def once(vector: FloatArray) -> Any:
                 return session.run(self.program, vector)
@@ -96,7 +99,8 @@ class SecureWork:
             profiled = time.perf_counter() - started
         floor = bare_trials(line, index, frames, FLOOR_TRIALS)
         where = phases(profile) if profile is not None else {}
-        return Figures(seconds, [float(one.value) for one in results], frames, floor, where, profiled)
+        values = [float(one.value) for one in results]
+        return Figures(seconds, values, frames, floor, where, profiled, ahead)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,18 @@ import spdz
 
 PHASES = ("mask", "network", "field", "aes", "mac_check", "rest")
 
+COMPILED = "<compiled program>"
+"""The file that the profiler names for compiled code (:mod:`spdz.compiled.source`)."""
+
 RULES: tuple[tuple[str, str], ...] = (
+    (COMPILED, "field"),
+    ("spdz/compiled/kernels.py:hidden_words", "mask"),
+    ("spdz/compiled/kernels.py:check_hidden", "mask"),
+    ("spdz/compiled/kernels.py:words_of", "mask"),
+    ("spdz/compiled/kernels.py:mask_words", "mask"),
+    ("spdz/compiled/kernels.py:element_of", "network"),
+    ("spdz/compiled/kernels.py:elements_of", "network"),
+    ("spdz/compiled/kernels.py", "field"),
     ("spdz/arithmetic/fixed_point.py", "mask"),
     ("spdz/values/input_mask.py", "mask"),
     ("spdz/gates/inputs.py", "mask"),
@@ -38,7 +49,8 @@ RULES: tuple[tuple[str, str], ...] = (
 
 mask: quantising the descriptor and hiding it. network: frames, sending, receiving, waiting. mac_check:
 combining and hashing what is checked. aes: keys of comparisons, with what is done to their blocks. field:
-arithmetic on shares. rest: reading the program, agreeing, bookkeeping.
+arithmetic on shares, all straight-line code that a program was compiled to among it (the masking of a few
+numbers, too, which is part of that code). rest: reading the program, agreeing, bookkeeping.
 """
 
 _ROOT = Path(spdz.__file__).resolve().parent.parent
@@ -78,6 +90,8 @@ def phase_of(function: Function) -> str | None:
     """What a function's own time counts as; None if it is not of this project."""
     if "cryptography" in function[0] or "cryptography" in function[2]:
         return "aes"
+    if function[0] == COMPILED:
+        return dict(RULES)[COMPILED]
     try:
         path = Path(function[0]).resolve().relative_to(_ROOT).as_posix()
     except ValueError:

@@ -53,6 +53,10 @@ class Trial:
         tape_bytes: Stored for it on party 0's and party 1's tape.
         error: Distance from the true score of the quantised descriptors, of the party that is further off.
         floor_ms: The same frames over a bare socket, a median; None where nothing is sent.
+        ahead_ms: A job's part of what is done before its inputs are known (:mod:`bench.sweep.ahead`), of the
+            slower party; one figure a cell, not in ``ms``. None of ``numpy`` and ``cpp``.
+        compile_ms: Reading and compiling the program, once a session, likewise; neither in ``ms`` nor in
+            ``ahead_ms``.
         phases: Of the profiled trial, milliseconds of each phase in party 0, scaled to the cell's median.
     """
 
@@ -67,6 +71,8 @@ class Trial:
     tape_bytes: list[int]
     error: float | None
     floor_ms: float | None
+    ahead_ms: float | None = None
+    compile_ms: float | None = None
     phases: dict[str, float] | None = None
 
     @property
