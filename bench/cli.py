@@ -235,7 +235,8 @@ def _print_others(others: Sequence[dict[str, Any]]) -> None:
         rounds = "-" if other["rounds"] is None else other["rounds"]
         print(
             f"{other['engine'] + ', ' + other['protocol']:>36}{other['ms']:9.3f}{'':10}"
-            f"{other['bytes_sent']:10}{rounds:>8}{'':10}  {other['ms_factor']:.1f} x time, {other['bytes_factor']:.1f} x bytes",
+            f"{other['bytes_sent']:10}{rounds:>8}{'':10}  "
+            f"{other['ms_factor']:.1f} x time, {other['bytes_factor']:.1f} x bytes",
             flush=True,
         )
 

@@ -34,8 +34,9 @@ def ahead_words(results: Results) -> Iterator[str]:
         yield " ".join(ABOUT.split())
     if compiled:
         yield (
-            f"Neither holds reading and compiling the program, once a session: {milliseconds(min(compiled))} "
-            f"to {milliseconds(max(compiled))} ms, the median cell's {milliseconds(median(compiled))} ms."
+            "Neither that nor a comparison's time holds reading and compiling the program, once a session: "
+            f"{milliseconds(min(compiled))} to {milliseconds(max(compiled))} ms, the median "
+            f"cell's {milliseconds(median(compiled))} ms."
         )
 
 
