@@ -18,6 +18,7 @@ from spdz.arithmetic import element, field, inner_product
 from spdz.arithmetic.field import P
 from spdz.arithmetic.public import Raw
 from spdz.compiled import kernels
+from spdz.compiled.entries import each
 from spdz.compiled.shapes import TracedShapes, few
 from spdz.compiled.slots import Slot
 from spdz.foundations.types import Shape
@@ -62,7 +63,7 @@ class TracedArithmetic(TracedShapes):
         """Elementwise negation."""
         if self._is_few(a.shape):
             a = self.numbers(a)
-            text = "-{0}" if a.form == "one" else "[-v for v in {0}]"
+            text = each("-{0}", a.size, a)
             return self.trace.note(text, a, form=a.form, shape=a.shape, bits=a.bits, reduced=False)
         if a.form == "words":
             return self.trace.note("-{0}", a, form="words", shape=a.shape, bits=a.bits, reduced=False)
@@ -89,17 +90,12 @@ class TracedArithmetic(TracedShapes):
 
     def _pairwise(self, sign: str, shape: Shape, a: Slot, b: Slot) -> Slot:
         a, b = self._slim(_bits(sign, a, b), a, b)
-        form = few(shape)
-        if form == "one":
-            text = f"{{0}} {sign} {{1}}"
-        elif b.form == "one":
-            a, text = self.broadcast(a, shape), f"[v {sign} {{1}} for v in {{0}}]"
-        elif a.form == "one":
-            b, text = self.broadcast(b, shape), f"[{{0}} {sign} v for v in {{1}}]"
-        else:
-            a, b = self.broadcast(a, shape), self.broadcast(b, shape)
-            text = f"[v {sign} w for v, w in zip({{0}}, {{1}})]"
-        return self.trace.note(text, a, b, form=form, shape=shape, bits=_bits(sign, a, b), reduced=False)
+        form, bits = few(shape), _bits(sign, a, b)
+        a, b = (one if one.form == "one" else self.broadcast(one, shape) for one in (a, b))
+        if form != "one" and a.form == b.form == "one":
+            a = self.broadcast(a, shape)
+        text = each(f"{{0}} {sign} {{1}}", prod(shape), a, b)
+        return self.trace.note(text, a, b, form=form, shape=shape, bits=bits, reduced=False)
 
     def sum(self, a: Any, axis: int) -> Any:
         """Sum over one axis."""

@@ -12,6 +12,7 @@ from spdz.arithmetic.bits import is_below
 from spdz.arithmetic.bits import shifted as shifted_array
 from spdz.compiled import kernels
 from spdz.compiled.arithmetic import TracedArithmetic
+from spdz.compiled.entries import each
 from spdz.compiled.shapes import few
 from spdz.compiled.slots import Form, NotCompiled, Slot
 from spdz.foundations.types import Shape
@@ -60,7 +61,7 @@ class TracedRing(TracedArithmetic):
         if not self._is_few(a.shape):
             return self._arrays(shifted_array, a.shape, a, tail=f", {by}")
         a = self.reduced(a)
-        text = f"{{0}} >> {by}" if a.form == "one" else f"[v >> {by} for v in {{0}}]"
+        text = each(f"{{0}} >> {by}", a.size, a)
         return self.trace.note(text, a, form=a.form, shape=a.shape, bits=max(a.bits - by, 0))
 
     def refuse_wrapped(self, c: Any, bits: int, mask_bits: int) -> None:
@@ -86,7 +87,7 @@ class TracedRing(TracedArithmetic):
                 text, self.array(pad), form="words", shape=pad.shape, bits=bits, reduced=False
             )
         pad, low = self.numbers(pad), (1 << bits) - 1
-        text = f"-({{0}} & {low})" if pad.form == "one" else f"[-(v & {low}) for v in {{0}}]"
+        text = each(f"-({{0}} & {low})", pad.size, pad)
         return self.trace.note(text, pad, form=pad.form, shape=pad.shape, bits=bits, reduced=False)
 
     def hidden(self, x: Any, r: Any, bits: int, norm: int) -> Any:
@@ -151,8 +152,8 @@ class TracedRing(TracedArithmetic):
         return self.trace.note(f"{self._name(to_bytes)}({{0}})", self.array(a), form="other")
 
     def _joined(self, a: Slot, size: int) -> Slot:
-        one = f"to_bytes({size}, 'little')"
-        text = f"{{0}}.{one}" if a.form == "one" else f"b''.join([v.{one} for v in {{0}}])"
+        octets = each(f"{{0}}.to_bytes({size}, 'little')", a.size, a)
+        text = octets if a.form == "one" else f"b''.join({octets})"
         return self.trace.note(text, a, form="other")
 
     def decoded(self, raw: Any, shape: Shape) -> Any:

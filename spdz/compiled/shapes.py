@@ -15,6 +15,7 @@ from spdz.arithmetic.public import Raw
 from spdz.arithmetic.rings import FieldRing, elements
 from spdz.compiled import kernels
 from spdz.compiled.dealt import dealt_array, dealt_numbers
+from spdz.compiled.entries import each
 from spdz.compiled.slots import FEW, Form, NotCompiled, Slot
 from spdz.compiled.trace import Trace
 from spdz.foundations.types import Shape
@@ -81,7 +82,7 @@ class TracedShapes(PartyRing):
             return a
         if (number := a.literal) is not None:
             return self._literal(number % P, a.shape)
-        text = "{0} % P" if a.form == "one" else "[v % P for v in {0}]"
+        text = each("{0} % P", a.size, a)
         return self.trace.note(text, a, form=a.form, shape=a.shape)
 
     def _literal(self, number: int, shape: Shape = ()) -> Slot:
