@@ -100,7 +100,7 @@ def written(trace: Trace, result: Slot) -> Code:
         *_indented(*_reads([line(one) for one in early]), f"return {handed}"),
         "",
         "def online(early, alpha, mac_check, data):",
-        *_indented(f"{handed} = early", *lines(later), f"return {result.name}"),
+        *_indented(f"{handed} = early", *lines(later, [*made, "alpha"]), f"return {result.name}"),
     ]
     source = "\n".join(functions) + "\n"
     space: dict[str, Any] = {**trace.names, "P": P, "to_list": to_list, **_REQUESTS}
