@@ -55,6 +55,14 @@ def test_a_dot_product_of_words_and_elements_is_exact(n):
             assert product == int(x.astype(object).sum()) * number
 
 
+def test_sums_of_pieces_do_not_wrap_up_to_the_longest_vector():
+    """The largest limbs of 22 bits, all of one sign: 2^18 2^44 is below 2^63."""
+    limbs = np.full((1, kernels.LONGEST), (1 << 22) - 1, dtype=np.float64)
+    exact = kernels.LONGEST * ((1 << 22) - 1) ** 2
+    assert kernels.product(limbs, limbs, 22, 22) == exact < 1 << 63
+    assert kernels.LONGEST << 44 < 1 << 63
+
+
 @pytest.mark.parametrize("bits", SHORT)
 def test_limbs_add_up_to_the_words(bits):
     for kind in KINDS:

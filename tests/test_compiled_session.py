@@ -17,7 +17,8 @@ from spdz import MacCheckFailed, PeerAborted, dot
 from spdz.channels import FrameKind, memory_pair
 from spdz.compiled.programs import Programs
 from spdz.compiled.slots import NotCompiled
-from spdz.foundations.errors import TapeDestroyed
+from spdz.compiled.source import Straight
+from spdz.foundations.errors import ChannelClosed, TapeDestroyed
 from spdz.readings.plans import KEPT, unchanging
 from spdz.session.session import _Reserved
 from spdz.tape import Tape
@@ -278,3 +279,27 @@ def test_a_tampered_frame_of_a_compiled_run_destroys_the_tape(tmp_path, kind, nu
     assert isinstance(ends[1], list if kind is FrameKind.CHECK else MacCheckFailed | PeerAborted)
     with pytest.raises(TapeDestroyed):
         Tape.open(paths[0], state_dir=state_dirs(tmp_path)[0])
+
+
+def test_a_job_that_cannot_be_prepared_ends_the_session(tmp_path):
+    """Its number is used: to go on would pair other jobs at the two robots."""
+    program = S10.within(1.0)
+    paths = deal(tmp_path / "m", program, SHAPES, 5)
+
+    def work(session):
+        whole, calls = Straight.ahead, []
+
+        def damaged(code, stream, alpha):
+            calls.append(stream)
+            if len(calls) == 2:
+                raise ValueError("the key does not begin with a hash index")
+            return whole(code, stream, alpha)
+
+        with patch.object(Straight, "ahead", damaged), pytest.raises(ValueError, match="hash index"):
+            session.reserve(3, program)
+        assert not session._reserved
+        with pytest.raises(ChannelClosed):
+            session.run(program, OWN[session.party])
+        return session.remaining
+
+    assert run_pair(paths, state_dirs(tmp_path), work)[0] == 2

@@ -18,10 +18,6 @@ _EXACT = 53
 LONGEST = 1 << 18
 """Coordinates of a dot product by limbs (:func:`product`)."""
 
-LONGEST = 1 << 22
-"""Entries up to which sums of products of a limb of :func:`limb_width` bits and one of 16 are exact as well:
-15 + 16 + 22 bits."""
-
 
 def array_of(numbers: Any, shape: Shape) -> FieldArray:
     """Integers in [0, p), one or a sequence, as elements of a shape."""

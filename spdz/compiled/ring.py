@@ -15,6 +15,7 @@ from spdz.compiled.arithmetic import TracedArithmetic
 from spdz.compiled.entries import each
 from spdz.compiled.shapes import few
 from spdz.compiled.slots import Form, NotCompiled, Slot
+from spdz.compiled.trace import Kind
 from spdz.foundations.types import Shape
 from spdz.rounds.wire import ELEMENT_BYTES, from_bytes, to_bytes
 from spdz.values import input_mask
@@ -169,11 +170,14 @@ class TracedRing(TracedArithmetic):
         text = f"{self._name(kernels.elements_of)}({{0}})"
         return self.trace.note(text, slot, form="few", shape=shape, kind="effect")
 
-    def call(self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any) -> Any:
+    def call(
+        self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any, refuses: bool = False
+    ) -> Any:
         """The kernel on field elements, and on whatever else it is given."""
         text, slots = self._called(kernel, operands)
         form: Form = "other" if shape is None else "many"
-        return self.trace.note(text, *slots, form=form, shape=shape or ())
+        kind: Kind = "effect" if refuses else "value"
+        return self.trace.note(text, *slots, form=form, shape=shape or (), kind=kind)
 
     def unreduced(self, kernel: Callable[..., Any], shape: Shape, *operands: Any) -> Any:
         """The same, and what it gives as elements."""

@@ -183,7 +183,7 @@ class Party(Evaluation):
         ring = self.ring
         own = ring.call(packed_signs, None, shares)
         reply = await exchange([own], (n + 7) // 8, 0)
-        bits: npt.NDArray[np.bool_] = ring.call(opened_signs, None, own, reply, n)
+        bits: npt.NDArray[np.bool_] = ring.call(opened_signs, None, own, reply, n, refuses=True)
         if self._mac_check is not None:
             self._mac_check.record_bits(ring.call(sign_macs, None, shares, bits, delta))
         return bits

@@ -43,6 +43,7 @@ from spdz.session.conversation import Conversing
 from spdz.session.driver import poster, run_channel
 from spdz.session.handshake import Hello, compare, session_id
 from spdz.tape import Tape, TapeHeader
+from spdz.tape.tape import Job
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +142,8 @@ class Session(Conversing):
         Args:
             jobs: How many.
             program: The program that they will run, if it is known: what depends on the tape alone is then
-                computed now. The jobs serve other thresholds as well.
+                computed now, and kept in memory (160 bytes a number of a descriptor, or so). The jobs serve
+                other thresholds as well.
 
         Raises:
             TapeExhausted: if fewer jobs are left; nothing is consumed, and the session lives on.
@@ -153,12 +155,13 @@ class Session(Conversing):
             self._plan(program)
             code = self._programs.code(program, again=True)
         with self._turn:
+            used = False
             try:
-                self._reserve(jobs, code)
-            except (TapeExhausted, ValueError):
-                raise
-            except BaseException as error:  # some jobs may be used and not kept here, unlike at the peer
-                self._die(error)
+                reserved, used = self._tape.reserve(jobs), True
+                self._keep(reserved, code)
+            except BaseException as error:
+                if used or not isinstance(error, (TapeExhausted, ValueError)):
+                    self._die(error)  # some jobs may be used and not kept here, unlike at the peer
                 raise
 
     def run(self, program: Program, data: npt.ArrayLike) -> Result:
@@ -198,7 +201,7 @@ class Session(Conversing):
         with self._guard():
             self._agreement.program(plan.text, len(inputs), program)
             if len(inputs) > len(self._reserved):
-                self._reserve(len(inputs) - len(self._reserved))
+                self._keep(self._tape.reserve(len(inputs) - len(self._reserved)))
             jobs = [self._reserved.popleft() for _ in inputs]
             if jobs:  # frames of other jobs than the peer's are refused
                 self._channel.bind((self._tag + jobs[0].index) & 0xFFFFFFFF)
@@ -232,12 +235,11 @@ class Session(Conversing):
     def _alpha(self) -> int | None:
         return int.from_bytes(self._tape.alpha, "little") if self.header.security == "malicious" else None
 
-    def _reserve(self, jobs: int, code: Straight | None = None) -> None:
-        pad_bytes = self.header.pad_bytes
-        reserved = self._tape.reserve(jobs)
+    def _keep(self, jobs: Sequence[Job], code: Straight | None = None) -> None:
+        """Expand the pads of jobs that were just marked used."""
         self._left = self._tape.remaining
-        for job in reserved:
-            stream = JobStream(job.key, pad_bytes, job.correction)
+        for job in jobs:
+            stream = JobStream(job.key, self.header.pad_bytes, job.correction)
             early = None if code is None else code.ahead(stream, self._alpha)
             self._reserved.append(_Reserved(job.index, stream, code, early))
 
@@ -264,6 +266,7 @@ class Session(Conversing):
         self._tape.destroy()
 
     def _release(self) -> None:
+        self._reserved.clear()
         self._tape.close()
 
 

@@ -144,8 +144,8 @@ def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
 def unsuited() -> Unsent:
     """What to raise for words that must not be sent."""
     return Unsent(
-        "the mask of this job does not suit this input, which happens once in 2^25 times: nothing was sent; "
-        "run the next job"
+        "the mask of this job does not suit this input, which happens once in 2^25 times (2^16 with proofs "
+        "of norm): nothing was sent; run the next job"
     )
 
 

@@ -133,8 +133,17 @@ class PartyRing(OuterRing):
         """A peer's elements; ProtocolViolation if one is not below p."""
         return from_bytes(raw, shape)
 
-    def call(self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any) -> Any:
-        """What no reading looks into: ``kernel(*operands)``, elements of a shape, or anything else (None)."""
+    def call(
+        self, kernel: Callable[..., Any], shape: Shape | None, *operands: Any, refuses: bool = False
+    ) -> Any:
+        """What no reading looks into: ``kernel(*operands)``, elements of a shape, or anything else (None).
+
+        Args:
+            kernel: The function.
+            shape: Of its result; None where that is no array of elements.
+            operands: What it takes.
+            refuses: Whether it may raise because of what the peer has sent.
+        """
         return kernel(*operands)
 
     def unreduced(self, kernel: Callable[..., IntArray], shape: Shape, *operands: Any) -> FieldArray:
