@@ -177,3 +177,16 @@ def test_both_security_modes_use_the_same_words(dim, max_norm, size):
     for security, frames in inputs.items():
         run_local(program, x, x, security, tamper=lambda n, who, f: (frames.append(f), f)[1])  # noqa: B023
         assert [len(frame) for frame in frames[:2]] == [size * dim] * 2
+
+
+@pytest.mark.parametrize("bits", [7, 8, 16, 23, 40, 44, 48, 55, 56, 63])
+@pytest.mark.parametrize("shape", [(1,), (2,), (7,), (1000,), (8192,), (3, 70)])
+def test_words_are_packed_one_after_the_other(shape, bits):
+    words = np.random.default_rng(bits).integers(0, 1 << bits, shape, dtype=np.int64, endpoint=False)
+    words.flat[0], words.flat[-1] = (1 << bits) - 1, 0
+    size = element_bytes(bits)
+    packed = pack(words, bits)
+    assert packed.tobytes() == b"".join(one.to_bytes(size, "little") for one in words.ravel().tolist())
+    assert np.array_equal(input_mask.read_packed(packed.tobytes(), shape, bits), words)
+    ones = input_mask.read_packed(b"\xff" * (size * words.size), shape, bits)
+    assert (ones == ((1 << 8 * size) - 1 if size < 8 else -1)).all()

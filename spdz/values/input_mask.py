@@ -122,11 +122,14 @@ def all_inside(words: IntArray, mask_bits: int, norm: int) -> bool:
 
 
 def pack(words: IntArray, mask_bits: int) -> npt.NDArray[np.uint8]:
-    """Words as ceil(w / 8) bytes each, little-endian."""
-    size = element_bytes(mask_bits)
-    return np.ascontiguousarray(
-        np.ascontiguousarray(words, dtype="<i8").view(np.uint8).reshape(-1, 8)[:, :size]
-    )
+    """Words as ceil(w / 8) bytes each, little-endian, shape (n, bytes).
+
+    Each is written as 8 bytes, in order, so that the next one covers the upper ones, which are 0.
+    """
+    size, n = element_bytes(mask_bits), words.size
+    octets = np.empty(size * n + 8 - size, dtype=np.uint8)
+    np.ndarray((n,), dtype="<i8", buffer=octets, strides=(size,))[...] = words.reshape(-1)
+    return octets[: size * n].reshape(n, size)
 
 
 def unpack(raw: Buffer, shape: Shape, mask_bits: int, norm: int) -> IntArray:
@@ -159,7 +162,10 @@ def read_packed(raw: Buffer, shape: Shape, bits: int) -> IntArray:
     size = element_bytes(bits)
     if size == 8:
         return np.frombuffer(raw, dtype="<i8").reshape(shape)
-    full = np.zeros((prod(shape), 8), dtype=np.uint8)
-    full[:, :size] = np.frombuffer(raw, dtype=np.uint8).reshape(prod(shape), size)
-    words: IntArray = full.view("<i8").reshape(shape)
+    n = prod(shape)
+    octets = np.empty(size * n + 8 - size, dtype=np.uint8)
+    octets[: size * n] = np.frombuffer(raw, dtype=np.uint8)
+    # Each is read with the first bytes of the next one, which are cut off.
+    whole = np.ndarray((n,), dtype="<i8", buffer=octets, strides=(size,))
+    words: IntArray = (whole & np.int64((1 << 8 * size) - 1)).reshape(shape)
     return words
