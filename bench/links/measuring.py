@@ -277,7 +277,7 @@ def _secure(index: int, task: _Task, number: int, trials: int) -> _Run:
     tape = Tape.open(_paths(task.folder, number)[index], state_dir=task.folder / f"state-{index}")
     channel = _channel(index, task)
     with Session(tape, channel) as session:
-        session.reserve(trials + WARM_UP)
+        session.reserve(trials + WARM_UP, program)
         return _timed(task, channel, trials, lambda: session.run(program, vector).stats)
 
 

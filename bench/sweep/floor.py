@@ -28,7 +28,7 @@ from spdz.channels import Channel
 Frames: TypeAlias = Sequence[tuple[int, int]]
 """A round each: the bytes that party 0 sends in it and those that party 1 sends, frame headers included."""
 
-WARM_UP = 3
+WARM_UP = 10
 """Uncounted trials before the counted ones."""
 
 _SLICE = 256 << 10

@@ -38,6 +38,7 @@ RULES: tuple[tuple[str, str], ...] = (
     ("spdz/session/driver.py", "network"),
     ("spdz/rounds/wire.py", "network"),
     ("spdz/rounds/mac_check.py:drive", "rest"),
+    ("spdz/rounds/mac_check.py:_send", "network"),
     ("spdz/rounds/mac_check.py", "mac_check"),
     ("spdz/arithmetic/prf.py", "aes"),
     ("spdz/dcf/", "aes"),
