@@ -78,3 +78,13 @@ def test_one_code_serves_every_job():
     for job in jobs[1:]:
         job.__dict__["codes"] = jobs[0].codes
     assert len({hold_honest(job) for job in jobs}) == 4
+
+
+@pytest.mark.parametrize("n", [5, 70])
+@pytest.mark.parametrize("score", SCORES.values(), ids=list(SCORES))
+def test_a_tile_of_one_pair_is_a_single_comparison(score, n):
+    """What the dealer deals by default: shapes (1, 1, N)."""
+    data = tuple(one.reshape(1, 1, n) for one in unit_vectors(n))
+    for security in SECURITIES:
+        for program in (score.within(1.0), is_candidate(score.within(1.0), 0.5)):
+            hold_honest(deal(program, data, security))

@@ -119,7 +119,18 @@ def test_the_same_settings_go_on_whatever_the_compiler_and_the_commit(tmp_path):
     later = about(machine={"cpu": "a", "cores": 2, "compiler": None}, commit="def", started="later")
     with Results(tmp_path, later) as results:
         assert list(results.done) == [Cell(16, "S10", "malicious")]
-    assert read_about(tmp_path).started == "then" and read_about(tmp_path).finished is None
+    assert read_about(tmp_path).started == "then" and read_about(tmp_path).finished == "now"
+
+
+def test_what_is_measured_later_is_noted_with_its_command(tmp_path):
+    fill(tmp_path, trials())
+    with Results(tmp_path, about(command="more", started="later")) as results:
+        assert read_about(tmp_path).finished == "now"  # nothing was measured yet
+        results.add([one.but(score="S6") for one in trials()])
+        assert read_about(tmp_path).finished is None
+        results.finish("then again")
+    noted = read_about(tmp_path)
+    assert (noted.command, noted.started, noted.finished) == ("cmd; more", "then", "then again")
 
 
 def test_two_sweeps_do_not_write_to_one_folder(tmp_path):

@@ -108,7 +108,7 @@ class About:
     """What ``sweep.json`` says.
 
     Attributes:
-        command: What was typed, last.
+        command: What was typed, each command once.
         commit: The project's commit; None where it does not run from its repository.
         dirty: Whether tracked files differed from that commit.
         started: When the folder was begun, ISO 8601, UTC.
@@ -189,7 +189,12 @@ class Results:
                     f"{self.folder} holds a sweep with other settings: {', '.join(other)}. One folder holds "
                     "one kind of trial: give another --out, or delete that folder"
                 )
-            about = replace(about, started=before.started)
+            about = replace(
+                about,
+                command="; ".join(dict.fromkeys([*before.command.split("; "), about.command])),
+                started=before.started,
+                finished=before.finished,
+            )
         elif (self.folder / TRIALS).stat().st_size:
             raise ResultsError(f"{self.folder} has {TRIALS} and no {ABOUT}: give another --out")
         trials, ends = _read_lines(self.folder / TRIALS)
@@ -201,14 +206,20 @@ class Results:
 
     def add(self, trials: Sequence[Trial]) -> None:
         """Keep all trials of a cell: when this returns they are on the disk."""
+        if self.about.finished is not None:
+            self._note(None)
         self.done[trials[0].cell] = list(trials)
         self._file.write(b"".join(json.dumps(trial.as_dict()).encode() + b"\n" for trial in trials))
         self._file.flush()
         os.fsync(self._file.fileno())
 
     def finish(self, when: str) -> None:
-        """Note that nothing of what was asked for is missing."""
-        self.about = replace(self.about, finished=when)
+        """Note that nothing of what was asked for is missing; where nothing was, the time stays."""
+        if self.about.finished is None:
+            self._note(when)
+
+    def _note(self, finished: str | None) -> None:
+        self.about = replace(self.about, finished=finished)
         _write(self.folder / ABOUT, json.dumps(asdict(self.about), indent=1) + "\n")
 
     def close(self) -> None:

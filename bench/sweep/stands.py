@@ -27,16 +27,19 @@ The paper runs 6,300 trials: seven protocols, nine lengths, ten scores, ten tria
 the online phase, with the triples made beforehand. Its six MP-SPDZ protocols differ in how triples are made,
 and there are two online phases among them, which are our two security models:
 
-  malicious    stands for MASCOT and CowGear. Values are shared with MACs, products take Beaver triples,
-               openings are MAC-checked. CowGear, which is covert, is LowGear with a covertly secure offline
-               phase; online it does what MASCOT does. So 900 trials stand for 1,800.
-  semi-honest  stands for Semi, Hemi, Temi and Soho. Values are shared without MACs, products take Beaver
-               triples. Semi makes them by oblivious transfer (it is MASCOT without what malicious security
-               needs), Hemi and Temi by semi-homomorphic, Soho by somewhat homomorphic encryption. So 900
-               trials stand for 3,600.
+  malicious    stands for MASCOT and CowGear. Theirs: values are shared with MACs, products take Beaver
+               triples, openings are MAC-checked. CowGear, which is covert, is LowGear with a covertly secure
+               offline phase; online it does what MASCOT does. So 900 trials stand for 1,800.
+  semi-honest  stands for Semi, Hemi, Temi and Soho. Theirs: values are shared without MACs, products take
+               Beaver triples. Semi makes them by oblivious transfer (it is MASCOT without what malicious
+               security needs), Hemi and Temi by semi-homomorphic, Soho by somewhat homomorphic encryption.
+               So 900 trials stand for 3,600.
   cpp          is the paper's insecure baseline in C++: 900 trials for 900.
   numpy        is the same in Python: both send their descriptor in the clear, and NumPy computes. 900 more.
 
-Our triples come from a dealer instead, before the mission and outside of the measured time, as theirs are.
-That is a difference in who is trusted, not in the kind of protocol that runs online.
+Ours have the security model of what they stand for, and another online protocol: in place of triples that
+two parties make, a dealer trusted before the mission deals what the very program needs (masks, their
+products, keys of comparisons), which is why bytes and rounds are so few. It is stored on tape and outside of
+the measured time, as their triples are; tape bytes stand beside the others. Of MP-SPDZ mascot and hemi were
+recorded; the others were not run.
 Source: MP-SPDZ's README, "Dishonest majority", and Protocols/{CowGear,Hemi,Temi,Soho}Share.h."""

@@ -170,32 +170,33 @@ class TracedArithmetic(TracedShapes):
                 pieces = [f"[{i}:{i + n}]" for i in range(0, a.size, n)]
                 text = f"[{', '.join(f'sum(map({times}, {{0}}{one}, {{1}}{one}))' for one in pieces)}]"
             return self.trace.note(text, a, b, form=form, shape=shape, bits=bits, reduced=False)
-        if len(a.shape) == len(b.shape) == 1:
-            return self._single_dot(a, b, n)
+        if a.size == b.size == n:
+            return self._single_dot(a, b, shape)
         return self._arrays(inner_product.dot, shape, a, b)
 
     def short_dot(self, x: Any, b: Any) -> Any:
         """The same: the own raw input is a vector of short integers."""
         return self.dot(x, b)
 
-    def _single_dot(self, a: Slot, b: Slot, n: int) -> Slot:
+    def _single_dot(self, a: Slot, b: Slot, shape: Shape) -> Slot:
         """Of two long vectors, as one exact floating-point product of their limbs."""
         if a.form != "words":
             a, b = b, a
-        if a.form != "words" or n > kernels.LONGEST:
-            return self._arrays(inner_product.dot, (), a, b)
+        if a.form != "words" or a.size > kernels.LONGEST:
+            return self._arrays(inner_product.dot, shape, a, b)
         if (origin := self._origins.get(a.name)) is not None:
             # Of the two, the own input is short, and what depends on the mask alone is done ahead.
             x, r = origin
-            difference: Slot = self.sub(self._single_dot(x, b, n), self._single_dot(r, b, n))
+            difference: Slot = self.sub(self._single_dot(x, b, shape), self._single_dot(r, b, shape))
             return difference
         (left, width), (right, other) = self._limbs(a), self._limbs(b)
         text = f"{self._name(kernels.product)}({{0}}, {{1}}, {width}, {other})"
-        bits = a.bits + b.bits + n.bit_length()
-        return self.trace.note(text, left, right, form="one", bits=bits, reduced=False)
+        bits = a.bits + b.bits + a.size.bit_length()
+        return self.trace.note(text, left, right, form="one", shape=shape, bits=bits, reduced=False)
 
     def _limbs(self, a: Slot) -> tuple[Slot, int]:
         """Limbs, and their bits: few of them where they are made after the input is known."""
+        a = self.reshape(a, (a.size,))
         if a.form != "words":
             text = f"{self._name(kernels.element_limbs)}({{0}})"
             return self.trace.note(text, self.array(a), form="other"), _EARLY_LIMB

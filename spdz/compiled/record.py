@@ -74,8 +74,7 @@ def compiled(program: Program, plan: Plan, party: int, security: Security) -> St
     Raises:
         NotCompiled: if it takes more than one vector a party, or looks at numbers on its way.
     """
-    shapes = [source.shape for source in plan.inputs]
-    if any(len(shape) != 1 for shape in shapes):
+    if any(prod(source.shape[:-1]) != 1 for source in plan.inputs):
         raise NotCompiled("only single vectors are compared by compiled code")
     trace = Trace()
     ring = TracedRing(trace)
@@ -92,7 +91,7 @@ def _with_data(trace: Trace, source: Input) -> Input:
     """The own input: integers, or an array of them."""
     size, bits = prod(source.shape), source.norm.bit_length()
     form: Form = "one" if size == 1 else "few" if size <= FEW else "words"
-    text = {"one": "data.item()", "few": "data.tolist()", "words": "data"}[form]
+    text = {"one": "data.item()", "few": "data.ravel().tolist()", "words": "data"}[form]
     data: Any = trace.note(text, form=form, shape=source.shape, bits=bits, reduced=False, kind="effect")
     return Input(source.owner, source.shape, source.norm, source.proved, data)
 

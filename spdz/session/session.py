@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from operator import index
 from typing import Any
 
 import numpy.typing as npt
@@ -150,6 +151,7 @@ class Session(Conversing):
             TapeMismatch: if the tape was not dealt for this program.
         """
         self._require_alive()
+        jobs = index(jobs)  # a TypeError here costs nothing
         code = None
         if program is not None:
             self._plan(program)
