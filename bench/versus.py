@@ -35,7 +35,7 @@ columns: what MP-SPDZ's time was, in times of the base, and that times the speed
 this tree's. Above 1 this tree is quicker.
 
 Milliseconds are from the input to the result, each tree's own. This one does ahead, when jobs are reserved
-with their program, some of what ff69b37 did in that time; `python -m bench` shows how long that takes (ahead).
+with their program, some of what ff69b37 did in that time; `python -m bench` shows how long that takes.
 
 The base needs the packages that it imports: those of this environment are used for both.
 
