@@ -108,7 +108,7 @@ def cancelling_under(make):
     return lie
 
 
-def _believe(self, received):
+def _believe(self, received, expected=None):
     self._checks += 1
     self._opened.clear()
     self._same = None

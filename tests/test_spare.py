@@ -155,10 +155,10 @@ def test_the_note_names_every_couple_of_a_few_robots_and_says_how_to_get_spare_j
 
 def test_a_tile_of_which_an_interruption_costs_everything_is_no_quicker_for_the_pick(monkeypatch):
     monkeypatch.setattr(batching, "MOST_JOBS", 64)
-    plans = plan_maps(AGENTS, Purpose("S10", 1200, max_norm=1.0), (100, 200), "malicious", interruptions=3)
+    plans = plan_maps(AGENTS, Purpose("S10", 1200, max_norm=1.0), (40, 500), "malicious", interruptions=3)
     picked, why = pick(plans)
     by_tile = {p.tile: p for p in plans if isinstance(p, TilePlan)}
-    larger = by_tile[100, 200]
+    larger = by_tile[40, 500]
     assert larger.lost_jobs == larger.meeting_jobs and picked.lost_jobs < picked.meeting_jobs
     assert picked.link_seconds > 1.3 * larger.link_seconds  # so that without interruptions it would lose
     assert picked.interrupted_seconds < 1.05 * larger.interrupted_seconds

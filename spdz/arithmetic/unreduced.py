@@ -120,7 +120,8 @@ def _weighed(weights: Weights, signs: FloatArray, numbers: IntArray, half: IntAr
     np.subtract(sums, middle * 2.0**_CUT, out=low)
     # Each part is at most 2^18 in size. A digit adds up no more than one of each limb's and cut's, 3 * 127 <
     # 2^9 of them, times 2^16: below 2^43. So a word is below 2^43 + 2^59.
-    digits = (parts.reshape(columns, n, -1) @ fold).astype(np.int64).reshape(columns, n, -1, 8)
+    joined = parts.reshape(columns, n, fold.shape[0]) @ fold
+    digits = joined.astype(np.int64).reshape(columns, n, fold.shape[1] // 8, 8)
     sums_words = digits[..., 1::2] << np.int64(16)
     sums_words += digits[..., ::2]
     by_row: IntArray = sums_words.transpose(2, 0, 1, 3)
