@@ -12,6 +12,7 @@ import numpy as np
 from dealer.randomness import random_mac_key
 from dealer.recipe import deal_job
 from spdz import measure
+from spdz.channels import FrameKind
 from spdz.compiled.programs import Programs
 from spdz.compiled.record import compiled
 from spdz.compiled.source import Straight
@@ -22,6 +23,7 @@ from spdz.readings.party import Party
 from spdz.readings.program import declare, quantise, run
 from spdz.readings.streams import JobStream
 from spdz.rounds.mac_check import MacCheck, drive
+from spdz.session.driver import ChannelRounds
 
 SESSION = b"s" * 32
 SECURITIES = ("malicious", "semi-honest")
@@ -55,7 +57,7 @@ class Lane:
             self.protocol = run(party, job.program, declare(job.program, job.shapes, {index: raw}))
         else:
             early = code.ahead(job.stream(index), alpha)
-            self.protocol = code.run(early, alpha, self.check, raw, self.stats)
+            self.protocol = code.run(early, alpha, self.check, code.taken(raw), self.stats)
 
     def replay(self, replies):
         """Answer from a list, in which FORGED stands for what passes the check; break off at its end."""
@@ -78,6 +80,46 @@ class Lane:
         finally:
             lane.close()
         return Outcome(frames, requests, value, error, dict(self.stats.correlations), state(self.check))
+
+
+class Answering:
+    """A channel to a peer whose frames are known; it breaks off where they end."""
+
+    def __init__(self, replies, check, index):
+        self.replies, self.check, self.index = [*replies, None], check, index
+        self.frames, self.requests = [], []
+        self.rounds = self.bytes_sent = 0
+
+    def post(self, kind, payload, expect):
+        self.frames.append(b"".join(payload))
+        self.requests.append((expect, kind == FrameKind.CHECK))
+
+    def take(self):
+        reply = self.replies[len(self.frames) - 1]
+        if reply is None:
+            raise BrokenOff
+        return memoryview(bytearray(self.check._hash(1 - self.index) if reply is FORGED else reply))
+
+
+class BrokenOff(Exception):
+    """The replies have ended."""
+
+
+def alone(job, index, code, replies, raw):
+    """What a party's code does by calls, which is how a session runs a single job."""
+    alpha = None if job.mac is None else job.mac.shares[index]
+    check = None if job.mac is None else MacCheck(alpha, index, SESSION)
+    channel, value, error = Answering(replies, check, index), None, None
+    early, rounds = code.ahead(job.stream(index), alpha), ChannelRounds(channel, check)
+    used = {}
+    try:
+        value = code.run_alone(early, alpha, code.taken(raw), rounds)
+        used = dict(rounds.stats(code.correlations).correlations)
+    except BrokenOff:
+        pass
+    except SpdzError as raised:
+        error = raised
+    return Outcome(channel.frames, channel.requests, value, error, used, state(check))
 
 
 def state(check):
@@ -168,7 +210,7 @@ def turned(frame, bit):
 def same(one, other):
     """Hold two outcomes to each other, frame by frame."""
     assert one.frames == other.frames
-    assert one.requests == other.requests
+    assert one.requests == other.requests or [(a, c) for a, _, c in one.requests] == other.requests
     assert (type(one.error), str(one.error)) == (type(other.error), str(other.error))
     if not isinstance(one.error, ProtocolViolation):  # code records while the next frame travels
         assert one.check == other.check
@@ -182,6 +224,8 @@ def hold(job, index, replies=None, raw=None):
     """The code to the ordinary reading, for one party and the same replies; returns how both ended."""
     ordinary = job.read(index, None, replies, raw)
     same(ordinary, job.read(index, job.codes[index], replies, raw))
+    replies = job.frames[1 - index] if replies is None else replies
+    same(ordinary, alone(job, index, job.codes[index], replies, job.raw(index) if raw is None else raw))
     return ordinary
 
 
@@ -201,7 +245,7 @@ def hold_honest(job):
 def readings():
     """Counts, by party, the jobs that are read, that run as code, and that are computed ahead."""
     seen = Counter()
-    party, run, ahead = Party.__init__, Straight.run, Straight.ahead
+    party, run, run_alone, ahead = Party.__init__, Straight.run, Straight.run_alone, Straight.ahead
 
     def reading(self, index, *rest):
         if type(self) is Party:
@@ -212,6 +256,10 @@ def readings():
         seen["run"] += 1
         return run(self, *rest)
 
+    def running_alone(self, *rest):
+        seen["run"] += 1
+        return run_alone(self, *rest)
+
     def computing(self, *rest):
         seen["ahead"] += 1
         return ahead(self, *rest)
@@ -219,6 +267,7 @@ def readings():
     with (
         patch.object(Party, "__init__", reading),
         patch.object(Straight, "run", running),
+        patch.object(Straight, "run_alone", running_alone),
         patch.object(Straight, "ahead", computing),
     ):
         yield seen

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from spdz.channels import DType, FrameKind
 from spdz.channels.frame_reader import FrameReader
-from spdz.channels.frames import MAX_CONTROL, merge_small
+from spdz.channels.frames import MAX_CONTROL, merge_small, pack_header
 from spdz.foundations.errors import ProtocolViolation, SpdzError
 
 
@@ -71,7 +71,7 @@ def test_garbage_is_a_violation_and_is_not_echoed(pair):
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=60) | st.binary(max_size=44).map(lambda rest: header(9, kind=2) + rest), st.data())
 def test_a_reader_completes_the_expected_frame_and_no_other(stream, data):
-    reader = FrameReader(CHECK, DType.BYTES, 0, 0, 9, MAX_CONTROL)
+    reader = FrameReader(pack_header(CHECK, DType.BYTES, 0, 0, 9), 9, MAX_CONTROL)
     position = 0
     try:
         while position < len(stream) and not reader.complete:

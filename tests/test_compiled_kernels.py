@@ -93,7 +93,7 @@ def test_numbers_become_arrays_and_come_back():
     array = kernels.array_of(numbers, (2, 3))
     assert array.shape == (2, 3, 2) and array.flags.writeable
     assert field.to_list(array) == numbers
-    assert kernels.elements_of(array.tobytes()) == numbers
+    assert kernels.elements_of(array.tobytes(), kernels.cut(6, 16)) == numbers
     assert [kernels.element_of(one.tobytes()) for one in array.reshape(6, 2)] == numbers
     assert field.to_int(kernels.array_of(P - 1, ())) == P - 1
 
@@ -104,7 +104,7 @@ def test_an_element_that_is_not_canonical_is_refused(number, place):
     raw = bytearray(48)
     raw[16 * place : 16 * place + 16] = number.to_bytes(16, "little")
     with pytest.raises(ProtocolViolation, match="not a field element"):
-        kernels.elements_of(raw)
+        kernels.elements_of(raw, kernels.cut(3, 16))
     with pytest.raises(ProtocolViolation, match="not a field element"):
         kernels.element_of(raw[16 * place : 16 * place + 16])
 
@@ -112,21 +112,31 @@ def test_an_element_that_is_not_canonical_is_refused(number, place):
 @pytest.mark.parametrize("bits", [9, 47, 56, 63])
 def test_words_are_read_as_the_ordinary_reading_reads_them(bits):
     norm, size = 5, input_mask.element_bytes(bits)
+    cut = kernels.cut(3, size)
     top = (1 << bits) - norm
     for word, honest in ((norm, True), (top - 1, True), (norm - 1, False), (top, False), (0, False)):
         raw = b"".join(one.to_bytes(size, "little") for one in (norm, word, top - 1))
         if honest:
-            assert kernels.words_of(raw, size, norm, top) == [norm, word, top - 1]
+            assert kernels.words_of(raw, cut, size, norm, top) == (norm, word, top - 1)
             assert input_mask.unpack(raw, (3,), bits, norm).tolist() == [norm, word, top - 1]
             continue
         for read in (
-            lambda: kernels.words_of(raw, size, norm, top),  # noqa: B023
+            lambda: kernels.words_of(raw, cut, size, norm, top),  # noqa: B023
             lambda: input_mask.unpack(raw, (3,), bits, norm),  # noqa: B023
         ):
             with pytest.raises(ProtocolViolation, match="outside the interval"):
                 read()
     with pytest.raises(ProtocolViolation):
-        kernels.words_of(b"\xff" * size, size, norm, top)
+        kernels.words_of(b"\xff" * size, kernels.cut(1, size), size, norm, top)
+
+
+@pytest.mark.parametrize("count", [1, 3, 64])
+@pytest.mark.parametrize("bits", [8, 47, 48, 63])
+def test_words_are_packed_as_the_ordinary_reading_packs_them(count, bits):
+    size = input_mask.element_bytes(bits)
+    words = [(7 << bits - 3) - i for i in range(count)]
+    whole, cut = kernels.packing(count, size)
+    assert b"".join(cut(whole(*words))) == input_mask.pack(np.array(words), bits).tobytes()
 
 
 def test_own_words_outside_the_interval_are_not_sent():
@@ -136,12 +146,22 @@ def test_own_words_outside_the_interval_are_not_sent():
         words = [low, word, high - 1]
         if honest:
             kernels.check_hidden(words, low, high)
-            assert kernels.hidden_words(np.array(words), r, low, high).tolist() == words
+            assert kernels.hidden_words(np.array(words), r, False, low, high).tolist() == words
             continue
         with pytest.raises(Unsent):
             kernels.check_hidden(words, low, high)
         with pytest.raises(Unsent):
-            kernels.hidden_words(np.array(words), r, low, high)
+            kernels.hidden_words(np.array(words), r, False, low, high)
+
+
+def test_masks_that_suit_every_input_are_known():
+    norm, high = 5, 100
+    for s, far in ((2 * norm, True), (high - norm - 1, True), (2 * norm - 1, False), (high - norm, False)):
+        masks = [-2 * norm, -s, norm - high + 1]
+        assert kernels.far_inside(masks, norm, high) is far
+        assert kernels.far_inside(np.array(masks), norm, high) is far
+        words = [s + x for x in (-norm, norm)]
+        assert far == all(norm <= word < high for word in words)
 
 
 @pytest.mark.parametrize("bits", [8, 63])

@@ -1,10 +1,11 @@
 """What compiled code refuses, it refuses as the ordinary reading does: at the same place, in its words."""
 
+from itertools import product
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-from compiled_helpers import FORGED, SECURITIES, Lane, deal, hold, unit_vectors
+from compiled_helpers import FORGED, SECURITIES, Job, Lane, deal, hold, unit_vectors
 
 from protocols import is_candidate
 from protocols.scores import S4, S6, S7, S10
@@ -46,19 +47,24 @@ def with_word(frame, place, number, size):
 def test_own_words_outside_the_interval_are_not_sent(n):
     job = deal(S10.within(1.0), unit_vectors(n), "semi-honest")
     size, low, high = form_of(job)
-    for index in (0, 1):
-        raw = job.raw(index)
-        for place in {0, n - 1}:
-            mask = words_of(job.frames[index][0], size)[place] - int(raw[place])
-            for word, honest in ((low - 1, False), (low, True), (high - 1, True), (high, False)):
-                moved = raw.copy()
-                moved[place] = word - mask
-                outcome = hold(job, index, replies=[], raw=moved)
-                assert isinstance(outcome.error, Unsent) != honest
-                if honest:
-                    assert words_of(outcome.frames[0], size)[place] == word
-                else:
-                    assert outcome.frames == []
+    stream = Job.stream
+    for index, place, (word, honest) in product(
+        (0, 1), {0, n - 1}, ((low - 1, False), (low, True), (high - 1, True), (high, False))
+    ):
+        x = int(job.raw(index)[place])
+
+        def masked(job, party, place=place, mask=word - x):
+            dealt = stream(job, party)
+            dealt._pad[place, 0] = mask  # what is drawn first is the own mask
+            return dealt
+
+        with patch.object(Job, "stream", masked):
+            outcome = hold(job, index, replies=[])
+        assert isinstance(outcome.error, Unsent) != honest
+        if honest:
+            assert words_of(outcome.frames[0], size)[place] == word
+        else:
+            assert outcome.frames == []
 
 
 @any_length

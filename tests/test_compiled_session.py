@@ -248,15 +248,18 @@ def test_code_goes_with_its_plan():
 
 def tampering(channel, wanted, number):
     """A channel that turns over a bit of the so-manyth frame of this kind that it receives."""
-    take, seen = channel.take, Counter()
+    post, take, seen, kinds = channel.post, channel.take, Counter(), []
+
+    def noting(kind, *rest):
+        kinds.append(kind)
+        post(kind, *rest)
 
     def lying():
-        kind = channel._posted[0]
-        reply = take()
+        kind, reply = kinds[-1], take()
         seen[kind] += 1
         return memoryview(bytearray(turned(reply, 5))) if (kind, seen[kind]) == (wanted, number) else reply
 
-    channel.take = lying
+    channel.post, channel.take = noting, lying
     return channel
 
 

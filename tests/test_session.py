@@ -1,5 +1,7 @@
 """Networked parties: values, costs, reuse, and everything that can go wrong between two robots."""
 
+import os
+
 import numpy as np
 import pytest
 from session_helpers import deal, run_pair, state_dirs
@@ -306,16 +308,23 @@ def test_too_many_jobs_at_once_are_refused_before_anything_is_consumed(tmp_path,
     assert run_pair(paths, states, work) == [0.0, 0.0]
 
 
-def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, monkeypatch):
+def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path):
     paths = deal(tmp_path / "m", S10, SHAPES, 3)
 
     def work(session):
         session.reserve(2)
-        with monkeypatch.context() as patch:
-            patch.setattr("spdz.session.lifecycle.os.getpid", lambda: -1)
-            with pytest.raises(TapeInUse, match="after the fork"):
-                session.run(S10, OWN[session.party])
-        return True
+        child = os.fork()
+        if child == 0:
+            code = 1
+            try:
+                with pytest.raises(TapeInUse, match="after the fork"):
+                    session.run(S10, OWN[session.party])
+                with pytest.raises(ChannelError, match="after the fork"):
+                    session._channel.exchange(FrameKind.DATA, [b""], 0)
+                code = 0
+            finally:
+                os._exit(code)
+        return os.waitpid(child, 0)[1] == 0 and session.run(S10, OWN[session.party]).value is not None
 
     ends = memory_pair(timeout=5.0)
     assert run_pair(paths, state_dirs(tmp_path), work, channels=ends) == [True, True]

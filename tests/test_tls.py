@@ -25,7 +25,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from dealer.pki import MissionAuthority, write_credentials
 from spdz.channels import tcp, tls
 from spdz.channels.frame_reader import FrameReader
-from spdz.channels.frames import DType
+from spdz.channels.frames import DType, pack_header
 from spdz.channels.reception import MAX_HANDSHAKES, Reception
 from spdz.channels.socket_channel import lost
 from spdz.foundations.errors import ChannelClosed, ChannelError, ChannelTimeout, PeerAborted
@@ -253,6 +253,6 @@ def test_closing_sends_close_notify(folders):
 def test_a_damaged_line_may_pass_and_a_refused_certificate_does_not(reason, passing):
     error = ssl.SSLError(1, reason)
     error.reason = reason
-    reader = FrameReader(CONTROL, DType.BYTES, 0, 0, None, 100)
+    reader = FrameReader(pack_header(CONTROL, DType.BYTES, 0, 0, 0), None, 100)
     assert lost(error, reader).passing is passing
     assert ("certificate" in str(lost(error, reader))) is not passing

@@ -8,11 +8,10 @@ byte a second does not extend it. After any error the channel is dead. A channel
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from abc import ABC, abstractmethod
 from types import TracebackType
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import (
@@ -28,12 +27,13 @@ from spdz.channels.frames import (
     pack_header,
 )
 from spdz.channels.times import DEFAULT_TIMEOUT, check_limits, check_wait
+from spdz.foundations import forks
 from spdz.foundations.errors import ChannelClosed, ChannelError, PeerAborted, SpdzError
 from spdz.foundations.types import Buffer
 
 ABORT_SECONDS = 1.0
-_ROUNDS = frozenset({FrameKind.DATA, FrameKind.CHECK})
-_EXCHANGED = _ROUNDS | {FrameKind.CONTROL}
+_DATA, _CHECK = FrameKind.DATA, FrameKind.CHECK
+_EXCHANGED = (_DATA, _CHECK, FrameKind.CONTROL)
 
 Self = TypeVar("Self", bound="Channel")
 
@@ -63,10 +63,10 @@ class Channel(ABC):
         self._timeout = timeout
         self._max_frame, self._max_control = max_frame, min(MAX_CONTROL, max_frame)
         self._session = 0
-        self._posted: tuple[FrameKind, int, FrameReader, float] | None = None
+        self._posted: tuple[bool, int, FrameReader, float] | None = None
         self._death: str | None = None
         self._closed = False
-        self._process = os.getpid()
+        self._forks = forks.count
 
     @property
     def timeout(self) -> float:
@@ -114,36 +114,42 @@ class Channel(ABC):
         So this side can work while the frame travels. Arguments and errors are those of :meth:`exchange`; its
         time begins here. The buffers must not change before :meth:`take`, which must come next.
         """
-        self._require_usable()
+        if self._death is not None or self._forks != forks.count:
+            self._refuse()
         if self._posted is not None:
             raise ValueError("the frame that was posted last has not been answered yet")
         views = byte_views(payload)
-        size = sum(map(len, views))
-        if expect is None or not (kind in _ROUNDS and size <= self._max_frame >= expect >= 0):
+        size = len(views[0]) if len(views) == 1 else sum(map(len, views))
+        is_round = kind is _DATA or kind is _CHECK
+        if expect is None or not (is_round and size <= self._max_frame >= expect >= 0):
             self._check_request(kind, size, expect)
-        round_ = (self.rounds + self.control_rounds) & 0xFFFFFFFF
-        header = pack_header(kind, dtype, self._session, round_, size)
-        reader = FrameReader(kind, dtype, self._session, round_, expect, self._max_control)
-        self._posted = (kind, HEADER_BYTES + size, reader, time.monotonic() + self._timeout)
+        session, round_ = self._session, (self.rounds + self.control_rounds) & 0xFFFFFFFF
+        header = awaited = pack_header(kind, dtype, session, round_, size)
+        deadline = time.monotonic() + self._timeout
         try:
             self._begin([header, *views])
         except BaseException as error:
             self._die_of(error)
             raise
+        if expect != size:  # the rest is done while the frame travels
+            awaited = pack_header(kind, dtype, session, round_, expect or 0)
+        reader = FrameReader(awaited, expect, self._max_control)
+        self._posted = (is_round, HEADER_BYTES + size, reader, deadline)
 
     def take(self) -> memoryview:
         """The second half of an exchange: send the rest, and return the peer's payload."""
-        self._require_usable()
+        if self._death is not None or self._forks != forks.count:
+            self._refuse()
         if self._posted is None:
             raise ValueError("no frame was posted that could be answered")
-        kind, sent, reader, deadline = self._posted
+        is_round, sent, reader, deadline = self._posted
         try:
             self._finish(reader, deadline)
         except BaseException as error:
             self._die_of(error)
             raise
         self._posted = None
-        if kind in _ROUNDS:
+        if is_round:
             self.rounds += 1
         else:
             self.control_rounds += 1
@@ -168,7 +174,8 @@ class Channel(ABC):
             ChannelError: if the network failed, or as :meth:`exchange`.
         """
         check_wait(seconds, wake)
-        self._require_usable()
+        if self._death is not None or self._forks != forks.count:
+            self._refuse()
         try:
             return self._await(time.monotonic() + seconds, wake)
         except BaseException as error:
@@ -208,16 +215,15 @@ class Channel(ABC):
 
     @property
     def _is_a_copy(self) -> bool:
-        return os.getpid() != self._process
+        return self._forks != forks.count
 
-    def _require_usable(self) -> None:
+    def _refuse(self) -> NoReturn:
         if self._is_a_copy:
             raise ChannelError(
                 "this channel belongs to the process that made it, and this process is a fork of it: "
                 "connect after the fork"
             )
-        if self._death is not None:
-            raise ChannelClosed(self._death)
+        raise ChannelClosed(self._death or "")
 
     def _die_of(self, error: BaseException) -> None:
         if not isinstance(error, SpdzError):  # e.g. KeyboardInterrupt: half a frame may be out

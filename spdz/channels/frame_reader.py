@@ -13,7 +13,6 @@ from spdz.channels.frames import (
     AbortReason,
     DType,
     FrameKind,
-    pack_header,
 )
 from spdz.foundations.errors import OutOfStep, PeerAborted, ProtocolViolation
 
@@ -27,10 +26,8 @@ class FrameReader:
     ``complete``.
 
     Args:
-        kind: The kind expected.
-        dtype: The payload's dtype expected.
-        session: The session tag expected.
-        round_: The round expected.
+        header: Of the frame expected, as :func:`pack_header` makes it; its length counts for nothing if
+            ``expect`` is None.
         expect: The payload length expected, or None for any length up to ``limit``.
         limit: The cap for ``expect is None``.
 
@@ -44,9 +41,8 @@ class FrameReader:
         "_buffer",
         "_checked",
         "_end",
-        "_exact",
         "_expect",
-        "_expected",
+        "_header",
         "_is_abort",
         "_limit",
         "complete",
@@ -54,18 +50,13 @@ class FrameReader:
         "space",
     )
 
-    def __init__(
-        self, kind: FrameKind, dtype: DType, session: int, round_: int, expect: int | None, limit: int
-    ) -> None:
-        self._expected = (kind, dtype, session, round_)
-        self._expect = expect
-        self._limit = limit
-        self._exact = b"" if expect is None else pack_header(kind, dtype, session, round_, expect)
-        self._end = HEADER_BYTES + (expect or 0)
-        self._buffer = bytearray(self._end)
+    def __init__(self, header: bytes, expect: int | None, limit: int) -> None:
+        self._header, self._expect, self._limit = header, expect, limit
+        self._end = end = HEADER_BYTES + (expect or 0)
+        self._buffer = buffer = bytearray(end)
         self._checked = self._is_abort = self.complete = False
         self.received = 0
-        self.space = memoryview(self._buffer)
+        self.space = memoryview(buffer)
 
     def advance(self, count: int) -> None:
         """Note that ``count`` more bytes have been written into ``space``.
@@ -75,8 +66,8 @@ class FrameReader:
             PeerAborted: if the frame is a whole ABORT frame.
         """
         self.received += count
-        if self.received == self._end and self._exact and self._buffer.startswith(self._exact):
-            self.complete = True
+        if count == self._end and self._expect is not None and self._buffer.startswith(self._header):
+            self.complete = True  # as most frames: in one piece, and as expected
             return
         if not self._checked and self.received >= HEADER_BYTES:
             self._check_header()
@@ -98,7 +89,7 @@ class FrameReader:
         return f"{self.received} of {self._end if known else f'at least {HEADER_BYTES}'} bytes received"
 
     def _check_header(self) -> None:
-        kind, dtype, session, round_ = self._expected
+        _, kind, dtype, _, session, round_, _ = HEADER.unpack(self._header)
         version, got_kind, got_dtype, reserved, got_session, got_round, length = HEADER.unpack_from(
             self._buffer
         )
@@ -115,18 +106,18 @@ class FrameReader:
             return
         if {got_kind, kind} == {FrameKind.DATA, FrameKind.CONTROL}:
             raise OutOfStep(
-                f"the peer is at another step: this side expects a {kind.name} frame, the peer sent "
-                f"{_name(FrameKind, got_kind)}; both robots must make the same calls, with the same program "
-                "and threshold, in the same order"
+                f"the peer is at another step: this side expects a {_name(FrameKind, kind)} frame, the peer "
+                f"sent {_name(FrameKind, got_kind)}; both robots must make the same calls, with the same "
+                "program and threshold, in the same order"
             )
         if got_kind != kind:
-            raise _violation("frame kind", kind.name, _name(FrameKind, got_kind))
+            raise _violation("frame kind", _name(FrameKind, kind), _name(FrameKind, got_kind))
         if got_session != session:
             raise _violation("session tag", f"{session:08x}", f"{got_session:08x}")
         if got_round != round_:
             raise _violation("round", round_, got_round)
         if got_dtype != dtype:
-            raise _violation("payload dtype", dtype.name, _name(DType, got_dtype))
+            raise _violation("payload dtype", _name(DType, dtype), _name(DType, got_dtype))
         if self._expect is None:
             if length > self._limit:
                 raise _violation("payload length", f"at most {self._limit} bytes", f"{length} bytes")

@@ -163,8 +163,9 @@ def byte_views(payload: Payload) -> list[Buffer]:
 
 def merge_small(views: Sequence[Buffer]) -> list[memoryview]:
     """The same bytes in few pieces: runs of small views are copied together, large ones are not copied."""
-    joined = sum(map(len, views)) <= _MERGE_BELOW  # most frames
-    return [memoryview(b"".join(views))] if joined else list(_merged(views))
+    if len(views) == 2 and len(views[0]) + len(views[1]) <= _MERGE_BELOW:  # most frames
+        return [memoryview(b"".join(views))]
+    return list(_merged(views))
 
 
 def _merged(views: Sequence[Buffer]) -> Iterator[memoryview]:

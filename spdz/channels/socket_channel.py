@@ -47,6 +47,10 @@ class SocketChannel(Channel):
     def _finish(self, reader: FrameReader, deadline: float) -> None:
         pieces, stream = self._pieces, self._stream
         ready = stream.reads_ahead
+        if not (pieces or ready or self._ahead or self._send_error) and _seen(self._incoming):
+            self._receive_some(reader)
+            if reader.complete:  # as most frames
+                return
         if self._ahead:
             reader.space[:1], self._ahead = self._ahead, b""
             reader.advance(1)
@@ -71,11 +75,8 @@ class SocketChannel(Channel):
         if sends:
             poll = self._poll
             poll.register(self._stream, select.POLLOUT | receives * select.POLLIN)
-        look = poll.poll
-        for _ in range(_SPINS):
-            if look(0):
-                return
-        look(seconds * 1000)
+        if not _seen(poll):
+            poll.poll(seconds * 1000)
 
     def _await(self, deadline: float, wake: int | None) -> bool:
         stream, first, poll = self._stream, memoryview(bytearray(1)), select.poll()
@@ -161,6 +162,15 @@ class SocketChannel(Channel):
 
     def _release(self) -> None:
         self._stream.close()
+
+
+def _seen(poll: select.poll) -> bool:
+    """Look without sleeping."""
+    look = poll.poll
+    for _ in range(_SPINS):
+        if look(0):
+            return True
+    return False
 
 
 def lost(error: OSError, progress: str) -> ChannelError:

@@ -65,7 +65,7 @@ class TopicCaller(TlsCaller):
     def __init__(self, stream: TlsStream, peers: Collection[str], topics: Collection[str]) -> None:
         super().__init__(stream, peers)
         self._topics = {topic_bytes(topic): topic for topic in topics}
-        self._reader = FrameReader(FrameKind.CONTROL, DType.BYTES, 0, 0, None, MAX_TOPIC)
+        self._reader = FrameReader(_header(), None, MAX_TOPIC)
         self.topic = ""
 
     def proceed(self) -> int:
@@ -115,7 +115,8 @@ def be_taken(stream: Stream, topic: str, seconds: float, stop: threading.Event |
         ProtocolViolation: if it answered anything else.
     """
     deadline = time.monotonic() + seconds
-    reader = FrameReader(FrameKind.CONTROL, DType.BYTES, 0, 0, len(topic_bytes(topic)), MAX_TOPIC)
+    name = topic_bytes(topic)
+    reader = FrameReader(_header(name), len(name), MAX_TOPIC)
     poll = select.poll()
     poll.register(stream, select.POLLIN)
     try:
@@ -133,7 +134,7 @@ def be_taken(stream: Stream, topic: str, seconds: float, stop: threading.Event |
             poll.poll(min(left, LONGEST_SLEEP if stop is None else LOOK_SECONDS) * 1000)
     except OSError as error:
         raise lost(error, reader.progress()) from error
-    if reader.payload() != topic_bytes(topic):
+    if reader.payload() != name:
         raise ProtocolViolation("the peer answered a call about another topic")
 
 
@@ -162,4 +163,8 @@ def replace(stream: Stream) -> None:
 def _frame(topic: str) -> memoryview:
     """The frame that names a topic; it is the first on its connection, whose buffers take it whole."""
     name = topic_bytes(topic)
-    return memoryview(pack_header(FrameKind.CONTROL, DType.BYTES, 0, 0, len(name)) + name)
+    return memoryview(_header(name) + name)
+
+
+def _header(name: bytes = b"") -> bytes:
+    return pack_header(FrameKind.CONTROL, DType.BYTES, 0, 0, len(name))

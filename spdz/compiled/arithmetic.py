@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import prod
-from operator import mul
+from operator import add, mul, sub
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ ROOM = 512
 
 _LIMB, _EARLY_LIMB = 22, 16
 """Bits of limbs in dot products: of what is split online, and of what was split ahead."""
+
+_OPERATORS = {"+": add, "-": sub, "*": mul}
 
 _WORD = 62
 """Bits of the longest short integers: a sum of two does not wrap."""
@@ -95,6 +97,8 @@ class TracedArithmetic(TracedShapes):
         if form != "one" and a.form == b.form == "one":
             a = self.broadcast(a, shape)
         text = each(f"{{0}} {sign} {{1}}", prod(shape), a, b)
+        if a.form == b.form == "few" and "zip" in text:
+            text = f"list(map({self._name(_OPERATORS[sign])}, {{0}}, {{1}}))"
         return self.trace.note(text, a, b, form=form, shape=shape, bits=bits, reduced=False)
 
     def sum(self, a: Any, axis: int) -> Any:

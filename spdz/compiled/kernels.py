@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from struct import Struct, unpack
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,8 +17,17 @@ from spdz.values.input_mask import outside, unsuited
 _EXACT = 53
 """float64 represents all integers of so many bits."""
 
+Cut: TypeAlias = Callable[[Buffer], tuple[bytes, ...]]
+_number = int.from_bytes
+
 LONGEST = 1 << 18
 """Coordinates of a dot product by limbs (:func:`product`)."""
+
+
+@lru_cache
+def cut(count: int, size: int) -> Cut:
+    """What cuts bytes into so many pieces of a size."""
+    return Struct(f"{size}s" * count).unpack
 
 
 def array_of(numbers: Any, shape: Shape) -> FieldArray:
@@ -34,10 +45,9 @@ def element_of(raw: Buffer) -> int:
     return number
 
 
-def elements_of(raw: Buffer) -> list[int]:
+def elements_of(raw: Buffer, cut: Cut) -> list[int]:
     """A peer's elements, likewise."""
-    words = np.frombuffer(raw, dtype="<u8").tolist()
-    numbers = [low | high << 64 for low, high in zip(words[::2], words[1::2], strict=True)]
+    numbers = [_number(piece, "little") for piece in cut(raw)]
     if max(numbers) >= P:
         raise not_canonical()
     return numbers
@@ -51,10 +61,16 @@ def decoded_element(number: int, frac: int) -> float:
 # -- words -----------------------------------------------------------------------------------------------
 
 
-def hidden_words(x: IntArray, r: IntArray, low: int, high: int) -> IntArray:
+def far_inside(r: IntArray | Sequence[int], low: int, high: int) -> bool:
+    """Whether ``x - r`` is in [low, high) for every x with |x| <= low."""
+    least, most = (r.min(), r.max()) if isinstance(r, np.ndarray) else (min(r), max(r))
+    return bool(-most >= 2 * low and -least < high - low)
+
+
+def hidden_words(x: IntArray, r: IntArray, is_inside: bool, low: int, high: int) -> IntArray:
     """``x - r``; Unsent unless all of it is in [low, high)."""
     words = x - r
-    if words.min() < low or words.max() >= high:
+    if not is_inside and (words.min() < low or words.max() >= high):
         raise unsuited()
     return words
 
@@ -65,12 +81,15 @@ def check_hidden(words: list[int], low: int, high: int) -> None:
         raise unsuited()
 
 
-def words_of(raw: Buffer, size: int, low: int, high: int) -> list[int]:
+def packing(count: int, size: int) -> tuple[Callable[..., bytes], Cut]:
+    """What turns so many words into 8 bytes each, and what cuts these down to a size."""
+    return Struct(f"<{count}q").pack, Struct(f"{size}s{8 - size}x" * count).unpack
+
+
+def words_of(raw: Buffer, cut: Cut, size: int, low: int, high: int) -> tuple[int, ...]:
     """A peer's words of so many bytes; ProtocolViolation unless all are in [low, high)."""
-    octets = np.frombuffer(raw, dtype=np.uint8).reshape(-1, size)
-    full = np.zeros((len(octets), 8), dtype=np.uint8)
-    full[:, :size] = octets
-    words: list[int] = full.view("<i8").ravel().tolist()
+    zeros, pieces = bytes(8 - size), cut(raw)
+    words: tuple[int, ...] = unpack(f"<{len(pieces)}q", zeros.join(pieces) + zeros)
     if min(words) < low or max(words) >= high:
         raise outside()
     return words

@@ -84,14 +84,15 @@ def compiled(program: Program, plan: Plan, party: int, security: Security) -> St
     inputs = [_with_data(trace, source) if source.owner == party else source for source in plan.inputs]
     result = _read(run(reader, program, inputs), trace, reader)
     sizes = (plan.pad_bytes[party], plan.correction_bytes[party])
-    return Straight(written(trace, result), security, sizes, stats.correlations)
+    few = prod(plan.inputs[party].shape) <= FEW
+    return Straight(written(trace, result), security, sizes, stats.correlations, few)
 
 
 def _with_data(trace: Trace, source: Input) -> Input:
-    """The own input: integers, or an array of them."""
+    """The own input: a list of integers, or an array of them."""
     size, bits = prod(source.shape), source.norm.bit_length()
     form: Form = "one" if size == 1 else "few" if size <= FEW else "words"
-    text = {"one": "data.item()", "few": "data.ravel().tolist()", "words": "data"}[form]
+    text = "data[0]" if form == "one" else "data"
     data: Any = trace.note(text, form=form, shape=source.shape, bits=bits, reduced=False, kind="effect")
     return Input(source.owner, source.shape, source.norm, source.proved, data)
 
@@ -110,7 +111,8 @@ def _read(protocol: Any, trace: Trace, party: TracedParty) -> Slot:
                 payload: Any = request.payload
                 buffers = ", ".join(f"{{{i}}}" for i in range(len(payload)))
                 text = f"yield Exchange([{buffers}], {request.expect}, {request.elements})"
-                reply = Received(party.ring, trace.note(text, *payload, form="other", kind="exchange"))  # type: ignore[arg-type]
+                frame = trace.note(text, *payload, form="other", kind="exchange")
+                reply = Received(party.ring, frame, request.expect)  # type: ignore[arg-type]
     except StopIteration as done:
         if not isinstance(done.value, Slot):
             raise NotCompiled("the result is not one of the code's") from None

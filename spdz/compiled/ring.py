@@ -99,13 +99,17 @@ class TracedRing(TracedArithmetic):
             text = f"{self._name(field.sub_from_int64)}({{0}}, {{1}})"
             return self.trace.note(text, x, self.array(r), form="many", shape=x.shape)
         ends = f"{norm}, {(1 << bits) - norm}"
+        far = f"{self._name(kernels.far_inside)}({{0}}, {ends})"
         if self._is_few(x.shape):
+            whole = "[{0}]" if x.form == "one" else "{0}"
+            is_inside = self.trace.note(far.format(whole), r, form="other")
             difference = self.sub(x, r)
-            checked = "[{0}]" if difference.form == "one" else "{0}"
-            self.trace.do(f"{self._name(kernels.check_hidden)}({checked}, {ends})", difference)
+            text = f"if not {{1}}: {self._name(kernels.check_hidden)}({whole}, {ends})"
+            self.trace.do(text, difference, is_inside)
             return self._known_as(difference, bits)
-        text = f"{self._name(kernels.hidden_words)}({{0}}, {{1}}, {ends})"
-        words = self.trace.note(text, x, r, form="words", shape=x.shape, bits=bits, kind="effect")
+        is_inside = self.trace.note(far, r, form="other")
+        text = f"{self._name(kernels.hidden_words)}({{0}}, {{1}}, {{2}}, {ends})"
+        words = self.trace.note(text, x, r, is_inside, form="words", shape=x.shape, bits=bits, kind="effect")
         self._origins[words.name] = (x, r)
         return words
 
@@ -118,7 +122,9 @@ class TracedRing(TracedArithmetic):
         if bits == input_mask.LONG:
             return self.encoded(words)
         if self._is_few(words.shape):
-            return self._joined(words, input_mask.element_bytes(bits))
+            whole, cut = map(self._name, kernels.packing(words.size, input_mask.element_bytes(bits)))
+            text = f"b''.join({cut}({whole}({'' if words.form == 'one' else '*'}{{0}})))"
+            return self.trace.note(text, words, form="other")
         text = f"{self._name(to_bytes)}({self._name(input_mask.pack)}({{0}}, {bits}))"
         return self.trace.note(text, words, form="other")
 
@@ -130,7 +136,8 @@ class TracedRing(TracedArithmetic):
             text = f"{self._name(input_mask.unpack)}({{0}}, {shape}, {bits}, {norm})"
             return self.trace.note(text, raw.slot, form="words", shape=shape, bits=bits, kind="effect")
         size = input_mask.element_bytes(bits)
-        text = f"{self._name(kernels.words_of)}({{0}}, {size}, {norm}, {(1 << bits) - norm})"
+        cut = self._name(kernels.cut(prod(shape), size))
+        text = f"{self._name(kernels.words_of)}({{0}}, {cut}, {size}, {norm}, {(1 << bits) - norm})"
         words = self.trace.note(text, raw.slot, form="few", shape=shape, bits=bits, kind="effect")
         return self._first_or_all(words)
 
@@ -167,7 +174,7 @@ class TracedRing(TracedArithmetic):
             return self.trace.note(
                 f"{self._name(kernels.element_of)}({{0}})", slot, form="one", shape=shape, kind="effect"
             )
-        text = f"{self._name(kernels.elements_of)}({{0}})"
+        text = f"{self._name(kernels.elements_of)}({{0}}, {self._name(kernels.cut(count, ELEMENT_BYTES))})"
         return self.trace.note(text, slot, form="few", shape=shape, kind="effect")
 
     def call(
@@ -222,11 +229,15 @@ class TracedRing(TracedArithmetic):
 class Received:
     """A frame of the peer's, to be cut."""
 
-    def __init__(self, ring: TracedRing, slot: Slot) -> None:
-        self._ring, self.slot = ring, slot
+    def __init__(self, ring: TracedRing, slot: Slot, size: int) -> None:
+        self._ring, self.slot, self._size = ring, slot, size
 
     def __getitem__(self, key: slice) -> Received:
         if key.step is not None:
             raise NotCompiled("a frame is cut in pieces")
+        if (key.start, key.stop) == (0, self._size):
+            return self
         text = f"{{0}}[{key.start}:{key.stop}]"
-        return Received(self._ring, self._ring.trace.note(text, self.slot, form="other"))
+        return Received(
+            self._ring, self._ring.trace.note(text, self.slot, form="other"), key.stop - key.start
+        )

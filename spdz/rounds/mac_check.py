@@ -174,6 +174,11 @@ def unrecorded() -> MacCheckFailed:
     return MacCheckFailed("nothing is opened in the malicious mode without a check that records it")
 
 
+def left_unchecked() -> MacCheckFailed:
+    """What to raise where a protocol has ended and left openings unchecked."""
+    return MacCheckFailed("the protocol ended with unchecked openings; nothing was output")
+
+
 def _checked(
     mac_check: MacCheck, post: Callable[[Exchange], None] | None
 ) -> Generator[Exchange, memoryview, None]:
@@ -233,7 +238,7 @@ def drive(
                 mac_check.absorb(request.payload, reply)
     except StopIteration as done:
         if mac_check is not None and mac_check.pending:
-            raise MacCheckFailed("the protocol ended with unchecked openings; nothing was output") from None
+            raise left_unchecked() from None
         result: T = done.value
         return result
     finally:

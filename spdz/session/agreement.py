@@ -32,7 +32,7 @@ class Agreement:
     def __init__(self, channel: Channel, party: int, session: bytes, alpha: int | None) -> None:
         self.mac_check: MacCheck | None = None
         self._channel, self._party, self._id, self._alpha = channel, party, session, alpha
-        self._program: tuple[str, str] | None = None
+        self._program: tuple[str, int] | None = None
 
     def control(self, message: dict[str, Json], *keys: str) -> dict[str, Any]:
         """Swap one JSON object; the peer's must have exactly these keys.
@@ -83,12 +83,12 @@ class Agreement:
         Raises:
             TapeMismatch: if the peer runs something else.
         """
-        call = (text, str(jobs))
+        call = (text, jobs)
         if call == self._program:
             return
         title = str(getattr(program, "__name__", program))
         peer = self.control({"text": text, "jobs": jobs, "title": title[:120]}, "text", "jobs", "title")
-        if (peer["text"], str(peer["jobs"])) != call:
+        if (peer["text"], str(peer["jobs"])) != (text, str(jobs)):
             raise TapeMismatch(
                 f"the peer runs something else: {jobs} x {title[:120]} here, {shown(peer['jobs'], 8)} x "
                 f"{shown(peer['title'], 120)} there; give both robots the same threshold and program"

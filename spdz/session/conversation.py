@@ -35,7 +35,7 @@ class Conversing(Lifecycle):
 
     def exchange_note(self, note: dict[str, Json]) -> dict[str, Any]:
         """Swap one small public JSON object with the peer, such as how many descriptors there are."""
-        with self._guard():
+        with self._guard:
             return self._agreement.note(note)
 
     def swap(self, frames: Sequence[bytes], most: int) -> list[bytes]:
@@ -62,7 +62,7 @@ class Conversing(Lifecycle):
             raise ValueError(f"at most {MOST_STRINGS} byte strings are swapped at a time, not {len(own)}")
         if type(most) is not int or most < 0:
             raise ValueError(f"most is a number of bytes from 0 on, not {most!r}")
-        with self._guard():
+        with self._guard:
             return _swap(self._channel, self._agreement, own, most)
 
     def await_peer(self, seconds: float, wake: int | None = None) -> bool:
@@ -83,7 +83,7 @@ class Conversing(Lifecycle):
         """
         self._require_alive()
         check_wait(seconds, wake)
-        with self._guard():
+        with self._guard:
             return self._channel.await_frame(seconds, wake)
 
 

@@ -74,7 +74,7 @@ class GallerySession(Holdings):
         self._shelves = (Shelf(tape, terms, 0), Shelf(tape, terms, 1))
         self._waiting = [] if waiting is None else waiting
         self._ready = [0, 0]
-        with self._guard():
+        with self._guard:
             self._plan = checked_plan(tape, terms)
             text = pinned_text(self._plan, terms)
             self._filling = Filling(tape, terms, ledger, self._shelves, channel, text, self._waiting)
@@ -127,7 +127,7 @@ class GallerySession(Holdings):
             MacCheckFailed: if the peer cheated; nothing more is output, and tape and ledger are destroyed.
             SpdzError: as any session. What was output stays true.
         """
-        with self._guard():
+        with self._guard:
             step, more = Step() if into is None else into, True
             mine, theirs = (self._ledger.slots[owner].voids for owner in (self.party, 1 - self.party))
             step.forget(mine, theirs)
@@ -164,7 +164,7 @@ class GallerySession(Holdings):
         self._require_alive()
         with self._turn:
             opened = self._revealing.checked(own, expected)
-        with self._guard():
+        with self._guard:
             return self._revealing.open(self, self._agreement, opened)
 
     def part(self, steps: int) -> None:
@@ -173,7 +173,7 @@ class GallerySession(Holdings):
         Raises:
             OutOfStep: if it goes on.
         """
-        with self._guard():
+        with self._guard:
             self._agreement.end(steps)
 
     # -- the parts of a step -------------------------------------------------------------------------

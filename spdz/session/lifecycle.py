@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import TypeVar
 
 from spdz.channels import Channel
 from spdz.channels.frames import abort_reason
+from spdz.foundations import forks
 from spdz.foundations.errors import ChannelClosed, MacCheckFailed, PeerAborted, TapeInUse
 from spdz.session.turn import Turn
 
@@ -26,8 +26,9 @@ class Lifecycle(ABC):
     def __init__(self, channel: Channel, what: str) -> None:
         self._channel, self._what = channel, what
         self._dead: str | None = None
-        self._process = os.getpid()
+        self._forks = forks.count
         self._turn = Turn(what)
+        self._guard = Guard(self, self._turn)
 
     @abstractmethod
     def _note_end(self) -> None:
@@ -67,23 +68,19 @@ class Lifecycle(ABC):
             self._release()
 
     def _require_alive(self) -> None:
-        if os.getpid() != self._process:
+        if self._forks != forks.count:
             raise TapeInUse(
                 f"this {self._what} belongs to the process that opened it: open one after the fork"
             )
         if self._dead is not None:
             raise ChannelClosed(f"this {self._what} has ended ({self._dead}); open a new one")
 
-    def _guard(self) -> Guard:
-        self._require_alive()
-        return Guard(self)
-
     def _die(self, error: BaseException) -> None:
         """Tell the peer why, close everything, and destroy the tape if the peer cheated.
 
         In a fork only the descriptors are closed: tape, connection and TLS keys are the parent's.
         """
-        if os.getpid() != self._process:
+        if self._forks != forks.count:
             self.close()
             return
         if self._dead is None:
@@ -99,13 +96,14 @@ class Lifecycle(ABC):
 
 
 class Guard:
-    """A turn in which whatever goes wrong kills the session."""
+    """A turn, of a session that is alive, in which whatever goes wrong kills it."""
 
-    def __init__(self, session: Lifecycle) -> None:
-        self._session = session
+    def __init__(self, session: Lifecycle, turn: Turn) -> None:
+        self._session, self._turn = session, turn
 
     def __enter__(self) -> None:
-        self._session._turn.__enter__()
+        self._session._require_alive()
+        self._turn.__enter__()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -114,4 +112,4 @@ class Guard:
             if error is not None:
                 self._session._die(error)
         finally:
-            self._session._turn.__exit__()
+            self._turn.__exit__()

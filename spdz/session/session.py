@@ -31,7 +31,7 @@ from spdz.foundations.errors import (
     TapeMismatch,
 )
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import IntArray, Shape
+from spdz.foundations.types import Shape
 from spdz.readings.meter import Plan
 from spdz.readings.party import Party
 from spdz.readings.program import Program, declare, quantise, run
@@ -41,7 +41,7 @@ from spdz.rounds.mac_check import drive
 from spdz.rounds.wire import ELEMENT_BYTES
 from spdz.session.agreement import Agreement
 from spdz.session.conversation import Conversing
-from spdz.session.driver import poster, run_channel
+from spdz.session.driver import ChannelRounds, poster, run_channel
 from spdz.session.handshake import Hello, compare, session_id
 from spdz.tape import Tape, TapeHeader
 from spdz.tape.tape import Job
@@ -69,6 +69,12 @@ class _Reserved:
     code: Straight | None
     early: tuple[Any, ...] | None = dataclass_field(repr=False)
 
+    def computed(self, code: Straight, alpha: int | None) -> tuple[Any, ...]:
+        """What this code computes ahead, now if it was not."""
+        if self.early is not None and self.code is code:
+            return self.early
+        return code.ahead(self.stream, alpha)
+
 
 class Session(Conversing):
     """One party of a pair, connected to the other.
@@ -90,7 +96,9 @@ class Session(Conversing):
         self._shapes: tuple[Shape, Shape] = (tuple(first), tuple(second))
         self._reserved: deque[_Reserved] = deque()
         self._programs = Programs(self.shapes, tape.header.security, tape.header.party)
-        with self._guard():
+        malicious = tape.header.security == "malicious"
+        self._alpha = int.from_bytes(tape.alpha, "little") if malicious else None
+        with self._guard:
             own = Hello.of(tape)
             peer = Hello.decode(bytes(channel.exchange(FrameKind.CONTROL, [own.encode()], None)))
             compare(own, peer)
@@ -180,33 +188,41 @@ class Session(Conversing):
             MacCheckFailed: if the peer cheated; nothing is output and the tape is destroyed.
             ChannelError: if the connection fails.
         """
-        (value,), stats = self._run(program, [data])
-        return Result(value, stats)
+        self._require_alive()
+        plan = self._plan(program)
+        code = self._programs.code(program)
+        raw = self._quantise(program, code, data)
+        if code is None:
+            (value,), stats = self._run_lanes(program, plan, None, [raw])
+            return Result(value, stats)
+        with self._guard:
+            (job,) = self._next(program, plan, 1)
+            rounds = ChannelRounds(self._channel, self._agreement.mac_check)
+            value = code.run_alone(job.computed(code, self._alpha), self._alpha, raw, rounds)
+        return Result(value, rounds.stats(code.correlations))
 
     def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
         """Run several jobs in the same rounds; the result's value is a list."""
-        return Result(*self._run(program, data))
+        self._require_alive()
+        plan = self._plan(program)
+        code = self._programs.code(program)
+        inputs = [self._quantise(program, code, one) for one in data]
+        return Result(*self._run_lanes(program, plan, code, inputs))
 
     # -- the parts of a run --------------------------------------------------------------------------
 
-    def _run(self, program: Program, data: Sequence[npt.ArrayLike]) -> tuple[list[Any], Stats]:
-        self._require_alive()
-        plan = self._plan(program)
-        inputs = [self._quantise(program, one) for one in data]
+    def _run_lanes(
+        self, program: Program, plan: Plan, code: Straight | None, inputs: Sequence[Any]
+    ) -> tuple[list[Any], Stats]:
+        """Run a job for each input, in the same rounds."""
         largest = ELEMENT_BYTES * len(inputs) * max(plan.elements_sent)
         if largest > MAX_FRAME:
             raise ValueError(
                 f"{len(inputs)} jobs at once could need frames of {largest >> 20} MB, above the limit of "
                 f"{MAX_FRAME >> 20} MB: run fewer at once"
             )
-        code = self._programs.code(program)
-        with self._guard():
-            self._agreement.program(plan.text, len(inputs), program)
-            if len(inputs) > len(self._reserved):
-                self._keep(self._tape.reserve(len(inputs) - len(self._reserved)))
-            jobs = [self._reserved.popleft() for _ in inputs]
-            if jobs:  # frames of other jobs than the peer's are refused
-                self._channel.bind((self._tag + jobs[0].index) & 0xFFFFFFFF)
+        with self._guard:
+            jobs = self._next(program, plan, len(inputs))
             stats = Stats()
             lanes = [
                 self._lane(program, code, job, raw, stats) for job, raw in zip(jobs, inputs, strict=True)
@@ -215,6 +231,16 @@ class Session(Conversing):
             frames = drive(protocol, self._agreement.mac_check, poster(self._channel))
             value = run_channel(frames, self._channel, stats)
         return [value] if len(lanes) == 1 else value, stats
+
+    def _next(self, program: Program, plan: Plan, count: int) -> list[_Reserved]:
+        """Agree with the peer, and take the next jobs."""
+        self._agreement.program(plan.text, count, program)
+        if count > len(self._reserved):
+            self._keep(self._tape.reserve(count - len(self._reserved)))
+        jobs = [self._reserved.popleft() for _ in range(count)]
+        if jobs:  # frames of other jobs than the peer's are refused
+            self._channel.bind((self._tag + jobs[0].index) & 0xFFFFFFFF)
+        return jobs
 
     def _plan(self, program: Program) -> Plan:
         """The meter's plan, held against the tape."""
@@ -226,16 +252,12 @@ class Session(Conversing):
             )
         return plan
 
-    def _quantise(self, program: Program, data: npt.ArrayLike) -> IntArray:
-        raw = quantise(program, data, "input")
-        expected = self.shapes[self.party]
+    def _quantise(self, program: Program, code: Straight | None, data: npt.ArrayLike) -> Any:
+        """The input as whoever reads it takes it."""
+        raw, expected = quantise(program, data, "input"), self._shapes[self.party]
         if raw.shape != expected:
             raise ValueError(f"a job of this tape takes an input of shape {expected}, got {raw.shape}")
-        return raw
-
-    @property
-    def _alpha(self) -> int | None:
-        return int.from_bytes(self._tape.alpha, "little") if self.header.security == "malicious" else None
+        return raw if code is None else code.taken(raw)
 
     def _keep(self, jobs: Sequence[Job], code: Straight | None = None) -> None:
         """Expand the pads of jobs that were just marked used."""
@@ -245,15 +267,10 @@ class Session(Conversing):
             early = None if code is None else code.ahead(stream, self._alpha)
             self._reserved.append(_Reserved(job.index, stream, code, early))
 
-    def _lane(
-        self, program: Program, code: Straight | None, job: _Reserved, raw: IntArray, stats: Stats
-    ) -> Any:
+    def _lane(self, program: Program, code: Straight | None, job: _Reserved, raw: Any, stats: Stats) -> Any:
         alpha, mac_check = self._alpha, self._agreement.mac_check
         if code is not None:
-            early = job.early if job.code is code else None
-            if early is None:
-                early = code.ahead(job.stream, alpha)
-            return code.run(early, alpha, mac_check, raw, stats)
+            return code.run(job.computed(code, alpha), alpha, mac_check, raw, stats)
         party = Party(self.party, self._tape.header.security, job.stream, mac_check, alpha, stats)
         return run(party, program, declare(program, self.shapes, {self.party: raw}))
 
