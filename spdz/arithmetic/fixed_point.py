@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import isqrt, ldexp
+from operator import mul
 from typing import Any, overload
 
 import numpy as np
@@ -22,7 +23,8 @@ FRACTION_BITS = 16
 """Fractional bits of an input."""
 
 _FLOAT64 = np.dtype(np.float64)
-_ONE = np.array(float(1 << FRACTION_BITS))
+_ONE = float(1 << FRACTION_BITS)
+_ONE_ARRAY = np.array(_ONE)  # quicker to multiply with
 
 MAX_NORM = 2.0**22
 """The largest L2 norm that a program may allow: raw integers then stay below 2^39."""
@@ -98,10 +100,23 @@ def encode(x: npt.ArrayLike, *, max_norm: float, min_norm: float = 0.0, name: st
     return raw
 
 
+def encode_few(x: FloatArray, limit: int) -> list[int] | None:
+    """The same of few numbers, in C order, as Python integers, which is quicker.
+
+    Returns:
+        None unless all are finite and the sum of the squares is at most ``limit``: :func:`encode` says why.
+    """
+    try:
+        raw = [round(number * _ONE) for number in x.ravel().tolist()]
+    except (ValueError, OverflowError):
+        return None
+    return raw if sum(map(mul, raw, raw)) <= limit else None
+
+
 @np.errstate(over="ignore", invalid="ignore")  # as a decorator it takes half the time
 def _rounded(real: FloatArray) -> tuple[FloatArray, Any]:
     """Raw integers as floats, and the square of each vector's norm."""
-    scaled = real * _ONE
+    scaled = real * _ONE_ARRAY
     np.rint(scaled, out=scaled)
     return scaled, scaled.dot(scaled) if real.ndim == 1 else np.vecdot(scaled, scaled)
 
@@ -115,7 +130,7 @@ def _refuse_short(raw: IntArray, rows: IntArray, least: int, min_norm: float, na
 
 
 def _real_array(x: npt.ArrayLike, name: str) -> FloatArray:
-    if type(x) is np.ndarray and x.dtype is _FLOAT64 and x.ndim and x.size:
+    if type(x) is np.ndarray and x.dtype == _FLOAT64 and x.ndim and x.size:
         return x
     refuse_masked(x, name)
     try:

@@ -14,7 +14,7 @@ from spdz.foundations.stats import Stats
 from spdz.foundations.types import Security, Shape
 from spdz.readings.meter import Plan
 from spdz.readings.party import Party, draw_tree
-from spdz.readings.program import Program, run
+from spdz.readings.program import Program, min_norm, run
 from spdz.rounds.coroutine import Check, Exchange
 from spdz.values.engine import Input
 
@@ -84,8 +84,10 @@ def compiled(program: Program, plan: Plan, party: int, security: Security) -> St
     inputs = [_with_data(trace, source) if source.owner == party else source for source in plan.inputs]
     result = _read(run(reader, program, inputs), trace, reader)
     sizes = (plan.pad_bytes[party], plan.correction_bytes[party])
-    few = prod(plan.inputs[party].shape) <= FEW
-    return Straight(written(trace, result), security, sizes, stats.correlations, few)
+    own = plan.inputs[party]
+    shape = own.shape if prod(own.shape) <= FEW else None
+    limit = -1 if min_norm(program) else own.norm**2
+    return Straight(written(trace, result), security, sizes, stats.correlations, shape, limit)
 
 
 def _with_data(trace: Trace, source: Input) -> Input:

@@ -17,17 +17,22 @@ from dataclasses import dataclass, field
 from typing import Any
 from typing import Protocol as Interface
 
+import numpy as np
+import numpy.typing as npt
+
 from spdz.arithmetic.field import P, to_list
+from spdz.arithmetic.fixed_point import encode_few
 from spdz.compiled.order import line, lines, needed
 from spdz.compiled.slots import Slot
 from spdz.compiled.trace import Trace
 from spdz.foundations.errors import TapeDamaged, Wrapped
 from spdz.foundations.stats import Stats
-from spdz.foundations.types import Buffer, IntArray, Security
+from spdz.foundations.types import Buffer, IntArray, Security, Shape
 from spdz.readings.streams import JobStream
 from spdz.rounds.coroutine import TAKE, Check, Exchange, Post, Request
 from spdz.rounds.mac_check import MacCheck, left_unchecked, unrecorded
 
+_FLOAT64 = np.dtype(np.float64)
 _PLACE = re.compile(r"<(pad|stored) (\d+) (\d+)>")
 _REQUESTS = {"Check": Check, "Exchange": Exchange, "Post": Post, "TAKE": TAKE}
 _CALLS = {
@@ -81,18 +86,26 @@ class Straight:
         security: The security model.
         sizes: Bytes of pad and of correction that it draws.
         correlations: What it uses, by kind.
-        takes_list: Whether its input is a list of integers, in C order, instead of an array.
+        shape: Of its input, if that is a list of integers in C order instead of an array.
+        limit: The largest square of such an input's norm that needs no further look.
     """
 
     code: Code
     security: Security
     sizes: tuple[int, int]
     correlations: Counter[str]
-    takes_list: bool
+    shape: Shape | None
+    limit: int
+
+    def quantised(self, data: npt.ArrayLike) -> list[int] | None:
+        """An input of few numbers as it is to be; None if that is an array, or takes a further look."""
+        if type(data) is np.ndarray and data.shape == self.shape and data.dtype == _FLOAT64:
+            return encode_few(data, self.limit)
+        return None
 
     def taken(self, raw: IntArray) -> IntArray | list[int]:
         """A quantised input as it is to be."""
-        return raw.ravel().tolist() if self.takes_list else raw
+        return raw if self.shape is None else raw.ravel().tolist()
 
     def ahead(self, stream: JobStream, alpha: int | None) -> tuple[Any, ...]:
         """What can be computed of a job before its inputs are known.
