@@ -28,10 +28,11 @@ def words_at_the_ends(n, bits, kind):
 KINDS = ("largest", "smallest", "limbs", "lowest", "mixed")
 
 
-def limbs_of(words, bits, widest=22):
-    count = -(-bits // widest)
-    width = -(-bits // count)
-    return kernels.word_limbs(words, count, width), width
+def limbs_of(words, bits):
+    """Limbs of signed words, and their bits, as compiled code asks for them."""
+    if bits <= 22:
+        return kernels.one_limb(words), bits
+    return kernels.signed_limbs(words, -(-(bits + 1) // 16)), 16
 
 
 @pytest.mark.parametrize("n", LENGTHS)
@@ -51,7 +52,7 @@ def test_a_dot_product_of_words_and_elements_is_exact(n):
             x = words_at_the_ends(n, bits, kind)
             elements = np.broadcast_to(field.from_int(number), (n, 2))
             left, width = limbs_of(x, bits)
-            product = kernels.product(left, kernels.element_limbs(elements), width, 16)
+            product = kernels.product(left, kernels.element_limbs(elements), width, 22)
             assert product == int(x.astype(object).sum()) * number
 
 
@@ -67,14 +68,33 @@ def test_sums_of_pieces_do_not_wrap_up_to_the_longest_vector():
 def test_limbs_add_up_to_the_words(bits):
     for kind in KINDS:
         words = words_at_the_ends(9, bits, kind)
-        for widest in (22, 16):
-            limbs, width = limbs_of(words, bits, widest)
-            assert np.abs(limbs).max() <= 1 << width and limbs[:-1].min(initial=0) >= 0
-            total = sum(
-                (limb.astype(np.int64).astype(object) * 2 ** (width * i) for i, limb in enumerate(limbs)),
-                start=0,
-            )
-            assert [int(one) for one in total] == words.tolist()
+        limbs, width = limbs_of(words, bits)
+        assert np.abs(limbs).max() <= 1 << width and limbs[:-1].min(initial=0) >= 0
+        assert added_up(limbs, width) == words.tolist()
+        positive = words & (1 << bits) - 1
+        limbs = kernels.word_limbs(positive, -(-bits // 16))
+        assert limbs.min() >= 0 and limbs.max() < 1 << 16
+        assert added_up(limbs, 16) == positive.tolist()
+
+
+@pytest.mark.parametrize("number", [0, 1, P - 1, (1 << 126) - 1, P // 3, 0x123456789ABCDEF0FEDCBA987654321])
+def test_limbs_add_up_to_the_elements(number):
+    limbs = kernels.element_limbs(field.from_ints([number, P - 1, 1 << 64]))
+    assert limbs.min() >= 0 and limbs.max() < 1 << 22
+    assert added_up(limbs, 22) == [number, P - 1, 1 << 64]
+
+
+@pytest.mark.parametrize("n", [65, 4097])
+def test_a_dot_product_of_a_vector_with_itself_is_exact(n):
+    for kind in KINDS:
+        x = words_at_the_ends(n, 57, kind)
+        limbs, width = limbs_of(x, 57)
+        assert kernels.product(limbs, limbs, width, width) == int(x.astype(object) @ x.astype(object))
+
+
+def added_up(limbs, width):
+    total = sum(limb.astype(np.int64).astype(object) * 2 ** (width * i) for i, limb in enumerate(limbs))
+    return [int(one) for one in total]
 
 
 def test_products_of_limbs_are_joined_whatever_their_sign():

@@ -289,20 +289,21 @@ def test_a_job_that_cannot_be_prepared_ends_the_session(tmp_path):
     program = S10.within(1.0)
     paths = deal(tmp_path / "m", program, SHAPES, 5)
 
+    whole, calls = Straight.ahead, Counter()
+
+    def damaged(code, stream, alpha):
+        calls[id(code)] += 1
+        if calls[id(code)] == 2:
+            raise ValueError("the key does not begin with a hash index")
+        return whole(code, stream, alpha)
+
     def work(session):
-        whole, calls = Straight.ahead, []
-
-        def damaged(code, stream, alpha):
-            calls.append(stream)
-            if len(calls) == 2:
-                raise ValueError("the key does not begin with a hash index")
-            return whole(code, stream, alpha)
-
-        with patch.object(Straight, "ahead", damaged), pytest.raises(ValueError, match="hash index"):
+        with pytest.raises(ValueError, match="hash index"):
             session.reserve(3, program)
         assert not session._reserved
         with pytest.raises(ChannelClosed):
             session.run(program, OWN[session.party])
         return session.remaining
 
-    assert run_pair(paths, state_dirs(tmp_path), work)[0] == 2
+    with patch.object(Straight, "ahead", damaged):
+        assert run_pair(paths, state_dirs(tmp_path), work)[0] == 2

@@ -26,8 +26,8 @@ from spdz.foundations.types import Shape
 ROOM = 512
 """Bits that an unreduced integer may have: a reduction costs more than a longer product (measured)."""
 
-_LIMB, _EARLY_LIMB = 22, 16
-"""Bits of limbs in dot products: of what is split online, and of what was split ahead."""
+_ONE_LIMB = 22
+"""Bits of the longest short integers that are not split in dot products."""
 
 _OPERATORS = {"+": add, "-": sub, "*": mul}
 
@@ -199,12 +199,14 @@ class TracedArithmetic(TracedShapes):
         return self.trace.note(text, left, right, form="one", shape=shape, bits=bits, reduced=False)
 
     def _limbs(self, a: Slot) -> tuple[Slot, int]:
-        """Limbs, and their bits: few of them where they are made after the input is known."""
+        """Limbs, and their bits."""
         a = self.reshape(a, (a.size,))
         if a.form != "words":
             text = f"{self._name(kernels.element_limbs)}({{0}})"
-            return self.trace.note(text, self.array(a), form="other"), _EARLY_LIMB
-        count = -(-a.bits // (_EARLY_LIMB if a.early else _LIMB))
-        width = -(-a.bits // count)
-        text = f"{self._name(kernels.word_limbs)}({{0}}, {count}, {width})"
-        return self.trace.note(text, a, form="other"), width
+            return self.trace.note(text, self.array(a), form="other"), kernels.ELEMENT_LIMB
+        if a.bits <= _ONE_LIMB:
+            return self.trace.note(f"{self._name(kernels.one_limb)}({{0}})", a, form="other"), a.bits
+        split = kernels.word_limbs if a.reduced else kernels.signed_limbs
+        count = -(-(a.bits + (not a.reduced)) // kernels.WORD_LIMB)
+        text = f"{self._name(split)}({{0}}, {count})"
+        return self.trace.note(text, a, form="other"), kernels.WORD_LIMB

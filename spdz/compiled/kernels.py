@@ -8,11 +8,16 @@ from struct import Struct, unpack
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from spdz.arithmetic.field import P
 from spdz.foundations.types import Buffer, FieldArray, FloatArray, IntArray, Shape
 from spdz.rounds.wire import ELEMENT_BYTES, not_canonical
 from spdz.values.input_mask import outside, unsuited
+
+WORD_LIMB, ELEMENT_LIMB = 16, 22
+"""Bits of a limb of short integers, where there are several, and of elements."""
+_22 = np.uint64((1 << ELEMENT_LIMB) - 1)
 
 _EXACT = 53
 """float64 represents all integers of so many bits."""
@@ -104,20 +109,38 @@ def mask_words(pad: FieldArray, bits: int) -> IntArray:
 # -- dot products of two vectors ---------------------------------------------------------------------------
 
 
-def word_limbs(words: IntArray, count: int, width: int) -> FloatArray:
-    """Limbs of short integers, shape (count, N): all but the last are in [0, 2^width)."""
+def one_limb(words: IntArray) -> FloatArray:
+    """Short integers as their only limb, shape (1, N)."""
+    return words.astype(np.float64)[np.newaxis]
+
+
+def word_limbs(words: IntArray, count: int) -> FloatArray:
+    """The ``count`` 16-bit limbs of integers in [0, 2^(16 count)), shape (count, N)."""
+    parts: npt.NDArray[np.uint16] = np.ascontiguousarray(words).view("<u2").reshape(-1, 4)[:, :count]
+    limbs: FloatArray = parts.T.astype(np.float64, order="C")
+    return limbs
+
+
+def signed_limbs(words: IntArray, count: int) -> FloatArray:
+    """The same of integers in [-2^(16 count - 1), 2^(16 count - 1)): the last limb has the sign."""
     limbs = np.empty((count, len(words)))
-    low = np.int64((1 << width) - 1)
-    for limb in limbs[:-1]:
-        limb[...] = words & low
-        words = words >> np.int64(width)
-    limbs[-1] = words
+    words = np.ascontiguousarray(words)
+    limbs[:-1] = words.view("<u2").reshape(-1, 4)[:, : count - 1].T
+    limbs[-1] = words.view("<i2")[count - 1 :: 4]
     return limbs
 
 
 def element_limbs(a: FieldArray) -> FloatArray:
-    """The eight 16-bit limbs of elements, shape (8, N)."""
-    limbs: FloatArray = np.ascontiguousarray(a).view("<u2").T.astype(np.float64, order="C")
+    """The six 22-bit limbs of elements, shape (6, N)."""
+    low, high = a.reshape(-1, 2).T
+    limbs = np.empty((6, len(low)))
+    limbs[0], limbs[1] = low & _22, low >> np.uint64(22) & _22
+    limbs[2] = (low >> np.uint64(44) | high << np.uint64(20)) & _22
+    limbs[3], limbs[4], limbs[5] = (
+        high >> np.uint64(2) & _22,
+        high >> np.uint64(24) & _22,
+        high >> np.uint64(46),
+    )
     return limbs
 
 
@@ -136,12 +159,24 @@ def product(a: FloatArray, b: FloatArray, left: int, right: int) -> int:
     """
     length = 1 << (_EXACT - left - right)
     if a.shape[1] <= length:
-        return _joined((a @ b.T).tolist(), left, right)
+        return _joined(_products(a, b).tolist(), left, right)
     total = np.zeros((len(a), len(b)), dtype=np.int64)
     for start in range(0, a.shape[1], length):
         piece = slice(start, start + length)
         total += (a[:, piece] @ b[:, piece].T).astype(np.int64)
     return _joined(total.tolist(), left, right)
+
+
+def _products(a: FloatArray, b: FloatArray) -> FloatArray:
+    """``a @ b.T``, shape (K, L), as BLAS is quickest at it for few rows that are long (measured)."""
+    products: FloatArray
+    if len(a) == 1:
+        products = (b @ a[0])[np.newaxis]
+    elif a is b:  # a matrix times its own transpose takes another routine, which is slow here
+        products = np.concatenate([a[:-1] @ b.T, (b @ a[-1])[np.newaxis]])
+    else:
+        products = (b @ a.T).T if len(a) < len(b) else a @ b.T
+    return products
 
 
 def _joined(products: Sequence[Sequence[float]], left: int, right: int) -> int:

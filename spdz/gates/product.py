@@ -12,7 +12,7 @@ is local and under MAC.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -21,7 +21,7 @@ import numpy as np
 
 from spdz.arithmetic import field, inner_product
 from spdz.arithmetic.bound import Bound
-from spdz.foundations.types import BigIntArray, FieldArray, Shape
+from spdz.foundations.types import BigIntArray, FieldArray, IntArray, Shape
 from spdz.gates.outer import dealt_products, product_shares, standing_pairs
 from spdz.values.engine import ClearText, Evaluation, Gate, Recipe, Share
 from spdz.values.outer import OuterMac
@@ -88,6 +88,10 @@ def masked_product(party: Evaluation, by: Contraction, x: Value, y: Value, corre
     if by is DOT:
         eps_x = ring.prepared(eps_x)
         eps_y = eps_x if x is y else ring.prepared(eps_y)
+        if x.plain is not None and y.parts[1] is None:
+            return _own_product(party, x.plain, (x, eps_x), (y, eps_y), correction)
+        if y.plain is not None and x.parts[1] is None:
+            return _own_product(party, y.plain, (y, eps_y), (x, eps_x), correction)
 
     def cross(i: int) -> FieldArray | None:
         """``eps_x * y_i + eps_y * x_i`` for part i of both."""
@@ -98,30 +102,40 @@ def masked_product(party: Evaluation, by: Contraction, x: Value, y: Value, corre
         right = None if x_i is None else product(eps_y, x_i)
         return left if right is None else right if left is None else ring.add(left, right)
 
-    # Where one operand is our own raw input and the other wholly the peer's, eps_peer * own is a product
-    # with short integers, and it equals the cross term plus eps_x eps_y.
-    short: FieldArray | None = None
-    if by is DOT:
-        if x.plain is not None and y.parts[1] is None:
-            short = ring.short_dot(x.plain, eps_y)
-        elif y.plain is not None and x.parts[1] is None:
-            short = ring.short_dot(y.plain, eps_x)
     value, mac = correction
     if mac is None or party.alpha is None:
-        if short is None or party.index == 1:
-            terms = [cross(1), product(eps_x, eps_y) if party.index == 0 else None]
-        else:
-            terms = [short]
+        terms = [cross(1), product(eps_x, eps_y) if party.index == 0 else None]
         return _total(ring, value, terms), None
     public = product(eps_x, eps_y)
-    if short is None:
-        terms = [cross(1), public if party.index == 0 else None]
-    else:
-        terms = [short, ring.neg(public) if party.index == 1 else None]
+    terms = [cross(1), public if party.index == 0 else None]
     return _total(ring, value, terms), _total(ring, mac, [ring.scaled(public, party.alpha), cross(2)])
 
 
-def _total(ring: PartyRing, start: FieldArray, terms: list[FieldArray | None]) -> FieldArray:
+def _own_product(
+    party: Evaluation, raw: IntArray, own: tuple[Value, Any], peer: tuple[Value, Any], correction: Share
+) -> Share:
+    """The dot product of our own raw input, with its mask, and a value that is wholly the peer's.
+
+    Here ``x = eps_x + r_x`` is known, so that ``eps_x eps_y + r_x eps_y = x eps_y`` is a product with short
+    integers, and ``alpha eps_x eps_y + m_x eps_y = alpha x eps_y + (m_x - alpha r_x) eps_y`` for the MAC
+    share m_x, where what is in brackets depends on the tape alone.
+    """
+    ring, (value, mac), (x, eps_x), (y, eps_y) = party.ring, correction, own, peer
+    if party.index == 1:
+        value = ring.add(value, ring.dot(eps_y, x.parts[1]))
+        if mac is None:
+            return value, None
+    short = ring.short_dot(raw, eps_y)
+    if party.index == 0:
+        value = ring.add(value, short)
+    if mac is None or party.alpha is None:
+        return value, None
+    bracket = ring.sub(x.parts[2], ring.scaled(x.parts[1], party.alpha))
+    terms = (ring.scaled(short, party.alpha), ring.dot(eps_y, bracket), ring.dot(eps_x, y.parts[2]))
+    return value, _total(ring, mac, terms)
+
+
+def _total(ring: PartyRing, start: FieldArray, terms: Iterable[FieldArray | None]) -> FieldArray:
     for term in terms:
         if term is not None:
             start = ring.add(start, term)
