@@ -276,10 +276,11 @@ def readings():
 @contextmanager
 def one_reads(index):
     """This party's sessions compile nothing."""
-    code = Programs.code
+    ready = Programs.ready
 
     def never(self, program, *, again=False):
-        return None if self._party == index else code(self, program, again=again)
+        plan, code = ready(self, program, again=again)
+        return plan, None if self._party == index else code
 
-    with patch.object(Programs, "code", never):
+    with patch.object(Programs, "ready", never):
         yield

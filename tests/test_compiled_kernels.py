@@ -132,22 +132,22 @@ def test_an_element_that_is_not_canonical_is_refused(number, place):
 @pytest.mark.parametrize("bits", [9, 47, 56, 63])
 def test_words_are_read_as_the_ordinary_reading_reads_them(bits):
     norm, size = 5, input_mask.element_bytes(bits)
-    cut = kernels.cut(3, size)
+    form = kernels.unpacking(3, size)
     top = (1 << bits) - norm
     for word, honest in ((norm, True), (top - 1, True), (norm - 1, False), (top, False), (0, False)):
         raw = b"".join(one.to_bytes(size, "little") for one in (norm, word, top - 1))
         if honest:
-            assert kernels.words_of(raw, cut, size, norm, top) == (norm, word, top - 1)
+            assert kernels.words_of(raw, *form, norm, top) == (norm, word, top - 1)
             assert input_mask.unpack(raw, (3,), bits, norm).tolist() == [norm, word, top - 1]
             continue
         for read in (
-            lambda: kernels.words_of(raw, cut, size, norm, top),  # noqa: B023
+            lambda: kernels.words_of(raw, *form, norm, top),  # noqa: B023
             lambda: input_mask.unpack(raw, (3,), bits, norm),  # noqa: B023
         ):
             with pytest.raises(ProtocolViolation, match="outside the interval"):
                 read()
     with pytest.raises(ProtocolViolation):
-        kernels.words_of(b"\xff" * size, kernels.cut(1, size), size, norm, top)
+        kernels.words_of(b"\xff" * size, *kernels.unpacking(1, size), norm, top)
 
 
 @pytest.mark.parametrize("count", [1, 3, 64])

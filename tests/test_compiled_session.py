@@ -209,7 +209,7 @@ def test_a_changed_program_is_not_run_as_it_was(tmp_path):
 def test_what_is_not_compiled_is_tried_once():
     programs = Programs(SHAPES, "malicious", 0)
     with patch("spdz.compiled.programs.compiled", side_effect=NotCompiled("no")) as attempt:
-        assert [programs.code(S10) for _ in range(4)] == [None] * 4
+        assert [programs.ready(S10)[1] for _ in range(4)] == [None] * 4
     assert attempt.call_count == 1
 
 
@@ -236,11 +236,11 @@ def test_code_goes_with_its_plan():
     """So many programs are kept, the latest used last."""
     programs = Programs(SHAPES, "semi-honest", 0)
     first = is_candidate(S10, 0.0)
-    code = programs.code(first, again=True)
-    assert programs.code(first) is code and code is not None
+    _, code = programs.ready(first, again=True)
+    assert programs.ready(first)[1] is code and code is not None
     for k in range(KEPT):
-        programs.code(is_candidate(S10, 0.001 * (k + 1)))
-    assert programs.code(first) is None and programs.code(first) is not None
+        programs.ready(is_candidate(S10, 0.001 * (k + 1)))
+    assert programs.ready(first)[1] is None and programs.ready(first)[1] is not None
 
 
 # -- what goes wrong --------------------------------------------------------------------------------------

@@ -62,12 +62,12 @@ def test_compiled_arithmetic_is_field_and_little_is_left_over(tmp_path, monkeypa
 def test_what_was_computed_ahead_is_in_no_trial(tmp_path, monkeypatch, model):
     cell = Cell(64, "S5", model)
     names = phases_of(Named, tmp_path, monkeypatch, [cell])[cell]
-    assert f"{COMPILED} online" in names
+    assert f"{COMPILED} direct" in names
     assert f"{COMPILED} ahead" not in names and not any("ahead" in name.split()[-1] for name in names)
     assert not any(name.endswith(("streams.py __init__", "prf.py expand", "fsync>")) for name in names)
 
 
 def test_compiled_code_has_the_name_that_the_rules_know():
-    code = Programs(((16,), (16,)), "malicious", 0).code(SCORES["S10"].within(1.0), again=True)
+    code = Programs(((16,), (16,)), "malicious", 0).ready(SCORES["S10"].within(1.0), again=True)[1]
     assert code is not None and code.code.ahead.__code__.co_filename == COMPILED
-    assert phase_of((COMPILED, 3, "online")) == "field" and "field" in PHASES
+    assert phase_of((COMPILED, 3, "direct")) == "field" and "field" in PHASES

@@ -39,10 +39,11 @@ class SocketChannel(Channel):
         self._ahead = b""  # the byte that was waited for
 
     def _begin(self, frame: list[Buffer]) -> None:
-        self._pieces = merge_small(frame)
-        self._pieces.reverse()
+        self._pieces = pieces = merge_small(frame)
+        if len(pieces) > 1:
+            pieces.reverse()
         self._in_frame = True
-        self._send_some(self._pieces)
+        self._send_some(pieces)
 
     def _finish(self, reader: FrameReader, deadline: float) -> None:
         pieces, stream = self._pieces, self._stream

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from struct import Struct, unpack
+from struct import Struct
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -91,10 +91,22 @@ def packing(count: int, size: int) -> tuple[Callable[..., bytes], Cut]:
     return Struct(f"<{count}q").pack, Struct(f"{size}s{8 - size}x" * count).unpack
 
 
-def words_of(raw: Buffer, cut: Cut, size: int, low: int, high: int) -> tuple[int, ...]:
-    """A peer's words of so many bytes; ProtocolViolation unless all are in [low, high)."""
-    zeros, pieces = bytes(8 - size), cut(raw)
-    words: tuple[int, ...] = unpack(f"<{len(pieces)}q", zeros.join(pieces) + zeros)
+@lru_cache
+def unpacking(count: int, size: int) -> tuple[Cut, bytes, Callable[[bytes], tuple[int, ...]]]:
+    """What cuts bytes into words of a size, what each lacks to 8 bytes, and what reads these."""
+    return cut(count, size), bytes(8 - size), Struct(f"<{count}q").unpack
+
+
+def words_of(
+    raw: Buffer,
+    cut: Cut,
+    zeros: bytes,
+    numbers: Callable[[bytes], tuple[int, ...]],
+    low: int,
+    high: int,
+) -> tuple[int, ...]:
+    """A peer's words (see :func:`unpacking`); ProtocolViolation unless all are in [low, high)."""
+    words = numbers(zeros.join(cut(raw)) + zeros)
     if min(words) < low or max(words) >= high:
         raise outside()
     return words

@@ -6,6 +6,7 @@ from spdz.compiled.record import compiled
 from spdz.compiled.slots import NotCompiled
 from spdz.compiled.source import Straight
 from spdz.foundations.types import Security, Shape
+from spdz.readings.meter import Plan
 from spdz.readings.plans import Plans
 from spdz.readings.program import Program
 
@@ -23,23 +24,24 @@ class Programs(Plans):
         super().__init__(shapes, security)
         self._party = party
 
-    def code(self, program: Program, *, again: bool = False) -> Straight | None:
-        """The code of a program; compiling takes about as long as ten runs, so it is done for the second.
+    def ready(self, program: Program, *, again: bool = False) -> tuple[Plan, Straight | None]:
+        """The plan of a program, and its code; compiling takes about ten runs, so it is done for the second.
 
         Args:
             program: The program.
             again: Whether it is known to be run more than once.
 
         Returns:
-            None where it runs for the first time, can change, or is not to be compiled.
+            No code where it runs for the first time, can change, or is not to be compiled.
         """
         known = self.known(program)
         if known is None:
-            return None
+            return self.of(program), None
         known.runs += 1
         if known.code is None and (again or known.runs > 1):
             try:
                 known.code = compiled(program, known.plan, self._party, self._security)
             except NotCompiled as error:
                 known.code = str(error)  # the error itself would keep its callers' inputs and jobs alive
-        return known.code if isinstance(known.code, Straight) else None
+        code = known.code
+        return known.plan, code if type(code) is Straight else None

@@ -136,8 +136,8 @@ class TracedRing(TracedArithmetic):
             text = f"{self._name(input_mask.unpack)}({{0}}, {shape}, {bits}, {norm})"
             return self.trace.note(text, raw.slot, form="words", shape=shape, bits=bits, kind="effect")
         size = input_mask.element_bytes(bits)
-        cut = self._name(kernels.cut(prod(shape), size))
-        text = f"{self._name(kernels.words_of)}({{0}}, {cut}, {size}, {norm}, {(1 << bits) - norm})"
+        read = ", ".join(map(self._name, kernels.unpacking(prod(shape), size)))
+        text = f"{self._name(kernels.words_of)}({{0}}, {read}, {norm}, {(1 << bits) - norm})"
         words = self.trace.note(text, raw.slot, form="few", shape=shape, bits=bits, kind="effect")
         return self._first_or_all(words)
 

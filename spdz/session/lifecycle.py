@@ -103,7 +103,7 @@ class Guard:
 
     def __enter__(self) -> None:
         self._session._require_alive()
-        self._turn.__enter__()
+        self._turn.take()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -112,4 +112,4 @@ class Guard:
             if error is not None:
                 self._session._die(error)
         finally:
-            self._turn.__exit__()
+            self._turn.leave()

@@ -95,6 +95,7 @@ class Session(Conversing):
         first, second = tape.header.program["shapes"]
         self._shapes: tuple[Shape, Shape] = (tuple(first), tuple(second))
         self._reserved: deque[_Reserved] = deque()
+        self._fingerprint = tape.header.fingerprint
         self._programs = Programs(self.shapes, tape.header.security, tape.header.party)
         malicious = tape.header.security == "malicious"
         self._alpha = int.from_bytes(tape.alpha, "little") if malicious else None
@@ -162,8 +163,7 @@ class Session(Conversing):
         jobs = index(jobs)  # a TypeError here costs nothing
         code = None
         if program is not None:
-            self._plan(program)
-            code = self._programs.code(program, again=True)
+            _, code = self._ready(program, again=True)
         with self._turn:
             used = False
             try:
@@ -189,8 +189,7 @@ class Session(Conversing):
             ChannelError: if the connection fails.
         """
         self._require_alive()
-        plan = self._plan(program)
-        code = self._programs.code(program)
+        plan, code = self._ready(program)
         raw = self._quantise(program, code, data)
         if code is None:
             (value,), stats = self._run_lanes(program, plan, None, [raw])
@@ -204,8 +203,7 @@ class Session(Conversing):
     def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
         """Run several jobs in the same rounds; the result's value is a list."""
         self._require_alive()
-        plan = self._plan(program)
-        code = self._programs.code(program)
+        plan, code = self._ready(program)
         inputs = [self._quantise(program, code, one) for one in data]
         return Result(*self._run_lanes(program, plan, code, inputs))
 
@@ -242,15 +240,15 @@ class Session(Conversing):
             self._channel.bind((self._tag + jobs[0].index) & 0xFFFFFFFF)
         return jobs
 
-    def _plan(self, program: Program) -> Plan:
-        """The meter's plan, held against the tape."""
-        plan = self._programs.of(program)
-        if plan.recipe != self.header.fingerprint:
+    def _ready(self, program: Program, *, again: bool = False) -> tuple[Plan, Straight | None]:
+        """The meter's plan, held against the tape, and the code if there is some."""
+        plan, code = self._programs.ready(program, again=again)
+        if plan.recipe != self._fingerprint:
             raise TapeMismatch(
                 f"this tape was dealt for {_describe(self.header.program)}, which is not the program given; "
                 "deal tapes for it, or run the program that the tapes were dealt for"
             )
-        return plan
+        return plan, code
 
     def _quantise(self, program: Program, code: Straight | None, data: npt.ArrayLike) -> Any:
         """The input as whoever reads it takes it."""

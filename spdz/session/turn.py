@@ -16,13 +16,22 @@ class Turn:
 
     def __init__(self, what: str) -> None:
         self._what, self._lock = what, Lock()
+        self.leave = self._lock.release
 
-    def __enter__(self) -> None:
-        if not self._lock.acquire(blocking=False):
+    def take(self) -> None:
+        """Begin a turn; :attr:`leave` ends it.
+
+        Raises:
+            TapeInUse: if another thread has it.
+        """
+        if not self._lock.acquire(False):
             raise TapeInUse(
                 f"another thread is using this {self._what}: it serves one thread at a time, since both "
                 "robots must make the same calls in the same order"
             )
 
+    def __enter__(self) -> None:
+        self.take()
+
     def __exit__(self, *error: object) -> None:
-        self._lock.release()
+        self.leave()
