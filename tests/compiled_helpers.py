@@ -94,6 +94,10 @@ class Answering:
         self.frames.append(b"".join(payload))
         self.requests.append((expect, kind == FrameKind.CHECK))
 
+    def exchange(self, kind, payload, expect):
+        self.post(kind, payload, expect)
+        return self.take()
+
     def take(self):
         reply = self.replies[len(self.frames) - 1]
         if reply is None:

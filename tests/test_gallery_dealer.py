@@ -118,7 +118,11 @@ def filled(folder, terms, slots):
 @pytest.mark.parametrize("name", SCORES)
 def test_every_score_can_be_timed(name):
     terms = GalleryPurpose(name, 6).dealt_terms("malicious")
-    seconds = gallery_plan._trial(terms, gallery_plan.measure_gallery(terms), (9, 40))
+    plan = gallery_plan.measure_gallery(terms)
+    try:
+        seconds = gallery_plan._trial(terms, plan, (9, 40))
+    except Unsent:  # a mask that does not suit its vector: one of 49, each once in 2^16 times
+        seconds = gallery_plan._trial(terms, plan, (9, 40))
     assert min(seconds.deal_descriptor, seconds.deal_pair, seconds.fill, seconds.compare) > 0
 
 

@@ -118,8 +118,12 @@ class Channel(ABC):
             self._refuse()
         if self._posted is not None:
             raise ValueError("the frame that was posted last has not been answered yet")
-        views = byte_views(payload)
-        size = len(views[0]) if len(views) == 1 else sum(map(len, views))
+        views: list[Buffer]
+        if len(payload) == 1 and type(payload[0]) is bytes:  # as most
+            views, size = [payload[0]], len(payload[0])
+        else:
+            views = byte_views(payload)
+            size = sum(map(len, views))
         is_round = kind is _DATA or kind is _CHECK
         if expect is None or not (is_round and size <= self._max_frame >= expect >= 0):
             self._check_request(kind, size, expect)

@@ -161,19 +161,19 @@ def byte_views(payload: Payload) -> list[Buffer]:
     return views
 
 
-def merge_small(views: Sequence[Buffer]) -> list[memoryview]:
+def merge_small(views: Sequence[Buffer]) -> list[Buffer]:
     """The same bytes in few pieces: runs of small views are copied together, large ones are not copied."""
     if len(views) == 2 and len(views[0]) + len(views[1]) <= _MERGE_BELOW:  # most frames
-        return [memoryview(b"".join(views))]
+        return [b"".join(views)]
     return list(_merged(views))
 
 
-def _merged(views: Sequence[Buffer]) -> Iterator[memoryview]:
+def _merged(views: Sequence[Buffer]) -> Iterator[Buffer]:
     run: list[Buffer] = []
     run_bytes = 0
     for view in views:
         if run and run_bytes + len(view) > _MERGE_BELOW:
-            yield memoryview(b"".join(run))
+            yield b"".join(run)
             run, run_bytes = [], 0
         if len(view) > _MERGE_BELOW:
             yield memoryview(view)
@@ -181,4 +181,4 @@ def _merged(views: Sequence[Buffer]) -> Iterator[memoryview]:
             run.append(view)
             run_bytes += len(view)
     if run:
-        yield memoryview(b"".join(run))
+        yield b"".join(run)

@@ -34,7 +34,7 @@ class SocketChannel(Channel):
         self._poll, self._incoming = select.poll(), select.poll()
         self._incoming.register(stream, select.POLLIN)
         self._in_frame = False  # whether part of a frame may be out
-        self._pieces: list[memoryview] = []  # of the frame that is being sent, the next one last
+        self._pieces: list[Buffer] = []  # of the frame that is being sent, the next one last
         self._send_error: OSError | None = None
         self._ahead = b""  # the byte that was waited for
 
@@ -103,7 +103,7 @@ class SocketChannel(Channel):
             woken = any(descriptor == wake for descriptor, _ in ready)
         return True
 
-    def _send_some(self, pieces: list[memoryview]) -> bool:
+    def _send_some(self, pieces: list[Buffer]) -> bool:
         """Send from the last piece; returns whether there is more, and the stream may take it now."""
         try:
             if not pieces:
@@ -116,7 +116,7 @@ class SocketChannel(Channel):
             pieces.clear()
             return False
         if sent < len(piece):
-            pieces[-1] = piece[sent:]
+            pieces[-1] = memoryview(piece)[sent:]
         else:
             pieces.pop()
             self._in_frame = bool(pieces)

@@ -14,6 +14,7 @@ from typing import TypeGuard
 from spdz.channels.telling import in_seconds
 from spdz.channels.times import LONGEST_SLEEP
 from spdz.foundations.errors import ChannelTimeout
+from spdz.foundations.types import Buffer
 
 _DRAIN = 64 << 10
 _PROBES = 4
@@ -64,7 +65,7 @@ class Stream(ABC):
         """Whether bytes wait for :meth:`flush`."""
 
     @abstractmethod
-    def send(self, data: memoryview) -> int:
+    def send(self, data: Buffer) -> int:
         """Take bytes to send; returns how many, 0 if none can be taken now."""
 
     @abstractmethod
@@ -119,7 +120,7 @@ class PlainStream(Stream):
     backlog = False
     reads_ahead = False
 
-    def send(self, data: memoryview) -> int:
+    def send(self, data: Buffer) -> int:
         """Take bytes to send; see :class:`Stream`."""
         try:
             return self._socket.send(data)

@@ -19,6 +19,7 @@ from typing import Any, cast
 
 from spdz.channels.stream import Stream
 from spdz.foundations.errors import ProtocolViolation
+from spdz.foundations.types import Buffer
 
 READ_BYTES = 64 << 10
 MAX_SILENT = 32 << 10
@@ -72,7 +73,7 @@ class TlsStream(Stream):
         """Whether encrypted bytes wait for :meth:`flush`."""
         return bool(self._unsent) or self._outgoing.pending > 0
 
-    def send(self, data: memoryview) -> int:
+    def send(self, data: Buffer) -> int:
         """Encrypt bytes once the socket has taken what was encrypted before; see :class:`Stream`."""
         if self._unsent and not self.flush():
             return 0

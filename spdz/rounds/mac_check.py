@@ -58,6 +58,7 @@ class MacCheck:
         self._prefix = hashlib.sha256(b"spdz mac-check" + hashlib.sha256(session).digest())
         self._opened: list[tuple[FieldArray, FieldArray | Collapsed] | Block | bytes] = []
         self._same: bytes | None = None
+        self._begun: Any = None  # what message() has hashed before i and k_i, which expected() begins with
         self._transcript = hashlib.sha256(b"spdz transcript")
         self._checks = 0
         self._failed = False
@@ -87,6 +88,7 @@ class MacCheck:
 
     def absorb(self, sent: Sequence[Buffer], received: Buffer) -> None:
         """Add one round to the transcript, party 0's message first."""
+        self._begun = None
         if self._party == 1:
             self._transcript.update(received)
         for part in sent:
@@ -96,11 +98,13 @@ class MacCheck:
 
     def message(self) -> bytes:
         """Step 2: this party's hash. Repeating it before :meth:`verify` gives the same bytes."""
-        return self._hash(self._party)
+        self._begun = self._digest()
+        return self._hash(self._party, self._begun.copy())
 
     def expected(self) -> bytes:
         """The hash that an honest peer sends."""
-        return self._hash(1 - self._party)
+        begun, self._begun = self._begun, None
+        return self._hash(1 - self._party, begun)
 
     def verify(self, received: Buffer, expected: bytes | None = None) -> None:
         """Step 3; on success everything opened so far counts as checked.
@@ -123,19 +127,17 @@ class MacCheck:
         self._opened.clear()
         self._same = None
 
-    def _hash(self, party: int) -> bytes:
+    def _hash(self, party: int, begun: Any = None) -> bytes:
         if self._same is None:
             self._same = self._same_at_both()
-        digest = self._digest()
-        digest.update(party.to_bytes(1, "little"))
-        digest.update(self._same)
+        digest = begun or self._digest()
+        digest.update(party.to_bytes(1, "little") + self._same)
         message: bytes = digest.digest()[:DIGEST_BYTES]
         return message
 
     def _digest(self) -> Any:
         digest = self._prefix.copy()
-        digest.update(self._checks.to_bytes(8, "little"))
-        digest.update(self._transcript.digest())
+        digest.update(self._checks.to_bytes(8, "little") + self._transcript.digest())
         return digest
 
     def _same_at_both(self) -> bytes:

@@ -73,8 +73,11 @@ class ChannelRounds:
 
     def exchange(self, payload: Sequence[Buffer], expect: int, elements: int) -> memoryview:
         """One round: send ``payload``, and return the peer's ``expect`` bytes."""
-        self.post(payload, expect, elements)
-        return self.take()
+        reply = self._channel.exchange(_DATA, payload, expect)
+        self._elements += elements
+        if self.mac_check is not None:
+            self.mac_check.absorb(payload, reply)
+        return reply
 
     def post(self, payload: Sequence[Buffer], expect: int, elements: int) -> None:
         """Its first half."""
