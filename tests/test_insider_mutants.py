@@ -30,11 +30,11 @@ def hashing(what):
     """A check that hashes the sigmas of ``what(opened)`` instead of those of all that was opened."""
     whole = MacCheck._hash
 
-    def partly(self, party):
+    def partly(self, party, begun=None):
         changed = copy(self)
         changed._same = None
         changed._opened = what([tuple(part.reshape(-1, 2) for part in one) for one in self._opened])
-        return whole(changed, party)
+        return whole(changed, party, begun)
 
     return patch.object(MacCheck, "_hash", partly)
 
@@ -88,7 +88,7 @@ def comparing(accept):
 
 def without_party_number():
     whole = MacCheck._hash
-    return patch.object(MacCheck, "_hash", lambda self, party: whole(self, 0))
+    return patch.object(MacCheck, "_hash", lambda self, party, begun=None: whole(self, 0, begun))
 
 
 @contextmanager
@@ -206,11 +206,11 @@ def test_the_insider_makes_an_engine_that_checks_too_late_open_its_result(evil):
 def sigma_without_alpha_of(party):
     whole = MacCheck._hash
 
-    def wrong(self, sender):
+    def wrong(self, sender, begun=None):
         changed = copy(self)
         changed._same = None
         changed._alpha = 0 if self._party == party else self._alpha
-        return whole(changed, sender)
+        return whole(changed, sender, begun)
 
     return patch.object(MacCheck, "_hash", wrong)
 
