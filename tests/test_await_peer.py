@@ -152,10 +152,10 @@ def test_a_closed_channel_waits_for_nobody(pair):
 
 def test_a_fork_does_not_wait(pair):
     a, b = pair()
-    a._forks -= 1
+    a._process -= 1
     with pytest.raises(ChannelError, match="after the fork"):
         a.await_frame(0)
-    a._forks += 1
+    a._process += 1
     assert_alive(a, b)
 
 

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -211,6 +212,26 @@ def test_a_closed_channel_refuses_and_closing_again_does_nothing(pair):
     assert_dead(a)
     with pytest.raises(ChannelClosed):
         b.exchange(DATA, [b"1"], 1)
+
+
+def test_an_error_behind_the_send_kills_the_channel(pair, monkeypatch):
+    """The frame may be out: a second one for the same round must not follow it."""
+    a, _ = pair()
+    with monkeypatch.context() as patch, pytest.raises(MemoryError):
+        patch.setattr("spdz.channels.base.FrameReader", Mock(side_effect=MemoryError))
+        a.post(DATA, [b"1"], 1)
+    with pytest.raises(ChannelClosed, match="interrupted"):
+        a.post(DATA, [b"1"], 1)
+
+
+@pytest.mark.parametrize("size", [1, 100_000])
+def test_a_frame_that_is_taken_too_late_does_not_count(pair, size):
+    a, b = pair(timeout=0.2)
+    for end in (a, b):
+        end.post(DATA, [bytes(size)], size)
+    time.sleep(0.3)
+    with pytest.raises(ChannelTimeout):
+        a.take()
 
 
 def test_an_interrupted_exchange_kills_the_channel(pair, monkeypatch):

@@ -13,7 +13,7 @@ from session_helpers import deal, run_pair, state_dirs
 
 from protocols import is_candidate
 from protocols.scores import S4, S6, S10
-from spdz import MacCheckFailed, PeerAborted, dot
+from spdz import MacCheckFailed, PeerAborted, dot, measure
 from spdz.channels import FrameKind, memory_pair
 from spdz.compiled.programs import Programs
 from spdz.compiled.slots import NotCompiled
@@ -207,7 +207,7 @@ def test_a_changed_program_is_not_run_as_it_was(tmp_path):
 
 
 def test_what_is_not_compiled_is_tried_once():
-    programs = Programs(SHAPES, "malicious", 0)
+    programs = Programs(SHAPES, "malicious", 0, measure(S10, SHAPES, "malicious").recipe)
     with patch("spdz.compiled.programs.compiled", side_effect=NotCompiled("no")) as attempt:
         assert [programs.ready(S10)[1] for _ in range(4)] == [None] * 4
     assert attempt.call_count == 1
@@ -234,8 +234,8 @@ def test_what_is_not_compiled_keeps_no_job_and_no_input_alive(tmp_path):
 
 def test_code_goes_with_its_plan():
     """So many programs are kept, the latest used last."""
-    programs = Programs(SHAPES, "semi-honest", 0)
     first = is_candidate(S10, 0.0)
+    programs = Programs(SHAPES, "semi-honest", 0, measure(first, SHAPES, "semi-honest").recipe)
     _, code = programs.ready(first, again=True)
     assert programs.ready(first)[1] is code and code is not None
     for k in range(KEPT):

@@ -1,5 +1,6 @@
 """Networked parties: values, costs, reuse, and everything that can go wrong between two robots."""
 
+import ctypes
 import os
 
 import numpy as np
@@ -308,12 +309,14 @@ def test_too_many_jobs_at_once_are_refused_before_anything_is_consumed(tmp_path,
     assert run_pair(paths, states, work) == [0.0, 0.0]
 
 
-def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path):
+@pytest.mark.parametrize("fork", [os.fork, ctypes.PyDLL(None).fork], ids=["by Python", "in C"])
+def test_a_fork_cannot_run_what_its_parent_reserved(tmp_path, fork):
+    """Whoever forks: a job that ran in both processes would show the difference of their inputs."""
     paths = deal(tmp_path / "m", S10, SHAPES, 3)
 
     def work(session):
         session.reserve(2)
-        child = os.fork()
+        child = fork()
         if child == 0:
             code = 1
             try:

@@ -15,6 +15,7 @@ from bench.sweep.parties import SecureWork
 from bench.sweep.phases import COMPILED, PHASES, phase_of
 from bench.sweep.standing import StandingPair
 from protocols.scores import SCORES
+from spdz import measure
 from spdz.compiled.programs import Programs
 
 OWN_CLOCK = partial(cProfile.Profile, time.thread_time)
@@ -68,6 +69,8 @@ def test_what_was_computed_ahead_is_in_no_trial(tmp_path, monkeypatch, model):
 
 
 def test_compiled_code_has_the_name_that_the_rules_know():
-    code = Programs(((16,), (16,)), "malicious", 0).ready(SCORES["S10"].within(1.0), again=True)[1]
+    program, shapes = SCORES["S10"].within(1.0), ((16,), (16,))
+    recipe = measure(program, shapes, "malicious").recipe
+    code = Programs(shapes, "malicious", 0, recipe).ready(program, again=True)[1]
     assert code is not None and code.code.ahead.__code__.co_filename == COMPILED
     assert phase_of((COMPILED, 3, "direct")) == "field" and "field" in PHASES

@@ -181,7 +181,7 @@ def _explain_or_accept(
 
 def _excess(vector: FloatArray, max_norm: float) -> str:
     """How much too long: 0.0914 % tells rounding in float16 from a vector that was never normalised."""
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):
         largest = np.abs(vector).max()  # so that no square overflows
         ratio = float(largest / max_norm * np.linalg.norm(vector / largest))
     if ratio < 2:

@@ -8,10 +8,11 @@ byte a second does not extend it. After any error the channel is dead. A channel
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from abc import ABC, abstractmethod
 from types import TracebackType
-from typing import NoReturn, TypeVar
+from typing import TypeVar
 
 from spdz.channels.frame_reader import FrameReader
 from spdz.channels.frames import (
@@ -27,7 +28,6 @@ from spdz.channels.frames import (
     pack_header,
 )
 from spdz.channels.times import DEFAULT_TIMEOUT, check_limits, check_wait
-from spdz.foundations import forks
 from spdz.foundations.errors import ChannelClosed, ChannelError, PeerAborted, SpdzError
 from spdz.foundations.types import Buffer
 
@@ -66,7 +66,7 @@ class Channel(ABC):
         self._posted: tuple[bool, int, FrameReader, float] | None = None
         self._death: str | None = None
         self._closed = False
-        self._forks = forks.count
+        self._process = os.getpid()
 
     @property
     def timeout(self) -> float:
@@ -114,8 +114,8 @@ class Channel(ABC):
         So this side can work while the frame travels. Arguments and errors are those of :meth:`exchange`; its
         time begins here. The buffers must not change before :meth:`take`, which must come next.
         """
-        if self._death is not None or self._forks != forks.count:
-            self._refuse()
+        if self._death is not None or os.getpid() != self._process:
+            self._require_usable()
         if self._posted is not None:
             raise ValueError("the frame that was posted last has not been answered yet")
         views: list[Buffer]
@@ -132,18 +132,18 @@ class Channel(ABC):
         deadline = time.monotonic() + self._timeout
         try:
             self._begin([header, *views])
+            if expect != size:  # the rest is done while the frame travels
+                awaited = pack_header(kind, dtype, session, round_, expect or 0)
+            reader = FrameReader(awaited, expect, self._max_control)
         except BaseException as error:
             self._die_of(error)
             raise
-        if expect != size:  # the rest is done while the frame travels
-            awaited = pack_header(kind, dtype, session, round_, expect or 0)
-        reader = FrameReader(awaited, expect, self._max_control)
         self._posted = (is_round, HEADER_BYTES + size, reader, deadline)
 
     def take(self) -> memoryview:
         """The second half of an exchange: send the rest, and return the peer's payload."""
-        if self._death is not None or self._forks != forks.count:
-            self._refuse()
+        if self._death is not None or os.getpid() != self._process:
+            self._require_usable()
         if self._posted is None:
             raise ValueError("no frame was posted that could be answered")
         is_round, sent, reader, deadline = self._posted
@@ -178,8 +178,7 @@ class Channel(ABC):
             ChannelError: if the network failed, or as :meth:`exchange`.
         """
         check_wait(seconds, wake)
-        if self._death is not None or self._forks != forks.count:
-            self._refuse()
+        self._require_usable()
         try:
             return self._await(time.monotonic() + seconds, wake)
         except BaseException as error:
@@ -219,15 +218,16 @@ class Channel(ABC):
 
     @property
     def _is_a_copy(self) -> bool:
-        return self._forks != forks.count
+        return os.getpid() != self._process
 
-    def _refuse(self) -> NoReturn:
+    def _require_usable(self) -> None:
         if self._is_a_copy:
             raise ChannelError(
                 "this channel belongs to the process that made it, and this process is a fork of it: "
                 "connect after the fork"
             )
-        raise ChannelClosed(self._death or "")
+        if self._death is not None:
+            raise ChannelClosed(self._death)
 
     def _die_of(self, error: BaseException) -> None:
         if not isinstance(error, SpdzError):  # e.g. KeyboardInterrupt: half a frame may be out

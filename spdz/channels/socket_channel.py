@@ -48,10 +48,12 @@ class SocketChannel(Channel):
     def _finish(self, reader: FrameReader, deadline: float) -> None:
         pieces, stream = self._pieces, self._stream
         ready = stream.reads_ahead
-        if not (pieces or ready or self._ahead or self._send_error) and _seen(self._incoming):
-            self._receive_some(reader)
-            if reader.complete:  # as most frames
-                return
+        if not (pieces or ready or self._ahead or self._send_error):
+            if time.monotonic() < deadline and _seen(self._incoming):
+                self._receive_some(reader)
+                if reader.complete:  # as most frames
+                    return
+        remaining(deadline, reader, self._timeout)
         if self._ahead:
             reader.space[:1], self._ahead = self._ahead, b""
             reader.advance(1)

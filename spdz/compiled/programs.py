@@ -18,11 +18,12 @@ class Programs(Plans):
         shapes: Of both inputs of a job.
         security: The security model.
         party: Whose code.
+        recipe: The fingerprint of what was dealt: other programs are not compiled.
     """
 
-    def __init__(self, shapes: tuple[Shape, Shape], security: Security, party: int) -> None:
+    def __init__(self, shapes: tuple[Shape, Shape], security: Security, party: int, recipe: str) -> None:
         super().__init__(shapes, security)
-        self._party = party
+        self._party, self._recipe = party, recipe
 
     def ready(self, program: Program, *, again: bool = False) -> tuple[Plan, Straight | None]:
         """The plan of a program, and its code; compiling takes about ten runs, so it is done for the second.
@@ -38,7 +39,7 @@ class Programs(Plans):
         if known is None:
             return self.of(program), None
         known.runs += 1
-        if known.code is None and (again or known.runs > 1):
+        if known.code is None and (again or known.runs > 1) and known.plan.recipe == self._recipe:
             try:
                 known.code = compiled(program, known.plan, self._party, self._security)
             except NotCompiled as error:

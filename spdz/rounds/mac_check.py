@@ -125,7 +125,7 @@ class MacCheck:
             )
         self._checks += 1
         self._opened.clear()
-        self._same = None
+        self._same = self._begun = None
 
     def _hash(self, party: int, begun: Any = None) -> bytes:
         if self._same is None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import TypeVar
 
 from spdz.channels import Channel
 from spdz.channels.frames import abort_reason
-from spdz.foundations import forks
 from spdz.foundations.errors import ChannelClosed, MacCheckFailed, PeerAborted, TapeInUse
 from spdz.session.turn import Turn
 
@@ -26,7 +26,7 @@ class Lifecycle(ABC):
     def __init__(self, channel: Channel, what: str) -> None:
         self._channel, self._what = channel, what
         self._dead: str | None = None
-        self._forks = forks.count
+        self._process = os.getpid()
         self._turn = Turn(what)
         self._guard = Guard(self, self._turn)
 
@@ -68,7 +68,7 @@ class Lifecycle(ABC):
             self._release()
 
     def _require_alive(self) -> None:
-        if self._forks != forks.count:
+        if os.getpid() != self._process:
             raise TapeInUse(
                 f"this {self._what} belongs to the process that opened it: open one after the fork"
             )
@@ -80,7 +80,7 @@ class Lifecycle(ABC):
 
         In a fork only the descriptors are closed: tape, connection and TLS keys are the parent's.
         """
-        if self._forks != forks.count:
+        if os.getpid() != self._process:
             self.close()
             return
         if self._dead is None:

@@ -96,7 +96,7 @@ class Session(Conversing):
         self._shapes: tuple[Shape, Shape] = (tuple(first), tuple(second))
         self._reserved: deque[_Reserved] = deque()
         self._fingerprint = tape.header.fingerprint
-        self._programs = Programs(self.shapes, tape.header.security, tape.header.party)
+        self._programs = Programs(self.shapes, tape.header.security, tape.header.party, self._fingerprint)
         malicious = tape.header.security == "malicious"
         self._alpha = int.from_bytes(tape.alpha, "little") if malicious else None
         with self._guard:
@@ -191,14 +191,15 @@ class Session(Conversing):
         self._require_alive()
         plan, code = self._ready(program)
         raw = self._quantise(program, code, data)
-        if code is None:
+        if code is None or _largest_frame(plan, 1) > MAX_FRAME:
             (value,), stats = self._run_lanes(program, plan, None, [raw])
             return Result(value, stats)
         with self._guard:
             (job,) = self._next(program, plan, 1)
             rounds = ChannelRounds(self._channel, self._agreement.mac_check)
             value = code.run_alone(job.computed(code, self._alpha), self._alpha, raw, rounds)
-        return Result(value, rounds.stats(code.correlations))
+            stats = rounds.stats(code.correlations)
+        return Result(value, stats)
 
     def run_many(self, program: Program, data: Sequence[npt.ArrayLike]) -> Result:
         """Run several jobs in the same rounds; the result's value is a list."""
@@ -213,8 +214,7 @@ class Session(Conversing):
         self, program: Program, plan: Plan, code: Straight | None, inputs: Sequence[Any]
     ) -> tuple[list[Any], Stats]:
         """Run a job for each input, in the same rounds."""
-        largest = ELEMENT_BYTES * len(inputs) * max(plan.elements_sent)
-        if largest > MAX_FRAME:
+        if (largest := _largest_frame(plan, len(inputs))) > MAX_FRAME:
             raise ValueError(
                 f"{len(inputs)} jobs at once could need frames of {largest >> 20} MB, above the limit of "
                 f"{MAX_FRAME >> 20} MB: run fewer at once"
@@ -288,6 +288,10 @@ class Session(Conversing):
     def _release(self) -> None:
         self._reserved.clear()
         self._tape.close()
+
+
+def _largest_frame(plan: Plan, jobs: int) -> int:
+    return ELEMENT_BYTES * jobs * max(plan.elements_sent)
 
 
 def _describe(program: Any) -> str:
