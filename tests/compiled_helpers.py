@@ -15,7 +15,7 @@ from spdz import measure
 from spdz.channels import FrameKind
 from spdz.compiled.programs import Programs
 from spdz.compiled.record import compiled
-from spdz.compiled.source import Straight
+from spdz.compiled.straight import Straight
 from spdz.foundations.errors import ProtocolViolation, SpdzError
 from spdz.foundations.stats import Stats
 from spdz.local import lock_step

@@ -17,7 +17,7 @@ from spdz import MacCheckFailed, PeerAborted, dot, measure
 from spdz.channels import FrameKind, memory_pair
 from spdz.compiled.programs import Programs
 from spdz.compiled.slots import NotCompiled
-from spdz.compiled.source import Straight
+from spdz.compiled.straight import Straight
 from spdz.foundations.errors import ChannelClosed, TapeDestroyed
 from spdz.readings.plans import KEPT, unchanging
 from spdz.session.session import _Reserved

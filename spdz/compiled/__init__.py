@@ -3,7 +3,8 @@
 A plan is known before the first byte: which draw lies where on the tape, which number goes into which frame,
 which bounds hold. So the party's text is read once on *slots* (:mod:`spdz.compiled.slots`) instead of
 numbers, by a ring (:mod:`spdz.compiled.ring`) that writes down what it is asked for
-(:mod:`spdz.compiled.trace`). What comes of it is Python source (:mod:`spdz.compiled.source`) in which
+(:mod:`spdz.compiled.trace`). What comes of it is Python source (:mod:`spdz.compiled.source`), run by
+:mod:`spdz.compiled.straight`, in which
 
 - few elements are Python integers from the tape to the frame, and sums are reduced mod p when they must be;
 - what depends on the tape alone is done apart, before the inputs are known;

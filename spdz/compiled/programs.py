@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from spdz.compiled.record import compiled
 from spdz.compiled.slots import NotCompiled
-from spdz.compiled.source import Straight
+from spdz.compiled.straight import Straight
 from spdz.foundations.types import Security, Shape
 from spdz.readings.meter import Plan
 from spdz.readings.plans import Plans

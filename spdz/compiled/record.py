@@ -8,7 +8,8 @@ from typing import Any
 from spdz.compiled.dealt import TracedStream
 from spdz.compiled.ring import Received, TracedRing
 from spdz.compiled.slots import FEW, Form, NotCompiled, Slot
-from spdz.compiled.source import Straight, written
+from spdz.compiled.source import written
+from spdz.compiled.straight import Straight
 from spdz.compiled.trace import Trace
 from spdz.foundations.stats import Stats
 from spdz.foundations.types import Security, Shape

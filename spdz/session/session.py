@@ -24,7 +24,7 @@ import numpy.typing as npt
 from spdz.channels import Channel, FrameKind
 from spdz.channels.frames import MAX_FRAME
 from spdz.compiled.programs import Programs
-from spdz.compiled.source import Straight
+from spdz.compiled.straight import Straight
 from spdz.foundations.errors import (
     TapeError,
     TapeExhausted,
