@@ -14,6 +14,7 @@ from math import exp, log
 from pathlib import Path
 
 from bench.commits import HistoryError, own_tree, resolve, tree_of
+from bench.out import out_folder
 from bench.recorded_ratios import Cell, recorded_ratios
 from bench.sweep.machine import commit
 from protocols.scores import SCORES
@@ -222,7 +223,7 @@ def _run(options: argparse.Namespace) -> int:
     try:
         base = resolve(ours, options.commit)
         if options.out is not None:
-            options.out.mkdir(parents=True, exist_ok=True)
+            out_folder(options.out)
         with tree_of(ours, base) as folder, progress_bar("versus", quiet=options.json) as report:
             trees = Trees(folder, ours, options.trials, options.repetitions, recorded_ratios().of(base))
             check_tree(trees.base)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.out import out_folder
 from spdz.console.command import CommandParser, run_command, say_error
 
 NEEDS = ("rtb-data>=1.0", "matplotlib>=3.8.4")
@@ -76,7 +77,7 @@ def _run(options: argparse.Namespace) -> int:
         from bench.attacks.report import show
         from bench.attacks.run import FULL, PARTS, QUICK, run_attacks
 
-        options.out.mkdir(parents=True, exist_ok=True)
+        out_folder(options.out)
         parts = PARTS if options.only is None else (options.only,)
         found = run_attacks(parts, QUICK if options.quick else FULL, options.seed)
         draw(options.out, found)

@@ -18,6 +18,7 @@ from bench.demo.picture import draw_before, draw_merged
 from bench.demo.plan import plan_text
 from bench.demo.result import Report
 from bench.demo.scene import views
+from bench.out import out_folder
 from dealer.team.deal import deal_team
 from protocols.geometry.pose_graph import Solver
 from protocols.mission import Mission
@@ -42,7 +43,7 @@ def run_demo(out: Path, security: Security = "malicious", solver: Solver = "scip
     """
     _say("reading 3,873 laser scans; two robots map and describe what they see")
     run = dataset.load()
-    out.mkdir(parents=True, exist_ok=True)
+    out_folder(out)
     public = PublicMap.of(run, places.SPACING)
     alice, bob = places.robots(run, public=public)
     with tempfile.TemporaryDirectory(prefix="spdz-demo-") as folder:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from bench.out import out_folder
 from bench.report.cells import MODELS
 from bench.report.folder import BadResults, read_results
 from spdz.console.command import CommandParser, run_command, say_error
@@ -73,8 +74,7 @@ def _run(options: argparse.Namespace) -> int:
         from bench.report.picture import picture
         from bench.report.sections import mean_factors, sections
 
-        out = options.out or options.folder
-        out.mkdir(parents=True, exist_ok=True)
+        out = out_folder(options.out or options.folder)
         parts, drawn = list(sections(results)), picture(results)
         files = {"page": out / "report.html", "markdown": out / "report.md"}
         files["page"].write_text(page(TITLE, parts), encoding="utf-8")

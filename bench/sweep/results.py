@@ -23,6 +23,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from bench.out import out_folder
 from bench.sweep.cells import Cell
 from spdz.foundations.types import SECURITIES
 
@@ -161,8 +162,7 @@ class Results:
     """
 
     def __init__(self, folder: Path, about: About) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder = folder
+        self.folder = out_folder(folder)
         self._file = (folder / TRIALS).open("ab")
         try:
             try:
