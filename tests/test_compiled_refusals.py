@@ -1,7 +1,8 @@
 """What compiled code refuses, it refuses as the ordinary reading does: at the same place, in its words."""
 
+from dataclasses import replace
 from itertools import product
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from spdz import MacCheckFailed, ProtocolViolation, TapeDamaged, absolute, dot, 
 from spdz.arithmetic.field import P
 from spdz.foundations.errors import Unsent, Wrapped
 from spdz.readings.streams import JobStream
+from spdz.rounds.mac_check import MacCheck
 from spdz.values import input_mask
 
 LENGTHS = (1, 9, 70)
@@ -244,6 +246,17 @@ def test_nothing_is_sent_without_a_check_in_the_malicious_mode():
     code, alpha = job.codes[0], job.mac.shares[0]
     with pytest.raises(MacCheckFailed, match="without a check"):
         code.run(code.ahead(job.stream(0), alpha), alpha, None, job.raw(0), None)
+
+
+def test_code_that_leaves_an_opening_unchecked_outputs_nothing():
+    def careless(early, alpha, mac_check, data, rounds):
+        mac_check.record_same(1, bytes(16))
+        return 1.0
+
+    whole = deal(S10.within(1.0), unit_vectors(5), "malicious").codes[0]
+    code = replace(whole, code=replace(whole.code, direct=careless))
+    with pytest.raises(MacCheckFailed, match="unchecked openings"):
+        code.run_alone((), 5, [], Mock(mac_check=MacCheck(5, 0, bytes(32))))
 
 
 def test_a_dead_check_stays_dead():

@@ -18,7 +18,7 @@ from spdz.channels import FrameKind, memory_pair
 from spdz.compiled.programs import Programs
 from spdz.compiled.slots import NotCompiled
 from spdz.compiled.straight import Straight
-from spdz.foundations.errors import ChannelClosed, TapeDestroyed
+from spdz.foundations.errors import ChannelClosed, TapeDestroyed, TapeMismatch
 from spdz.readings.plans import KEPT, unchanging
 from spdz.session.session import _Reserved
 from spdz.tape import Tape
@@ -241,6 +241,48 @@ def test_code_goes_with_its_plan():
     for k in range(KEPT):
         programs.ready(is_candidate(S10, 0.001 * (k + 1)))
     assert programs.ready(first)[1] is None and programs.ready(first)[1] is not None
+
+
+def test_a_program_of_another_tape_is_not_compiled(tmp_path):
+    paths = deal(tmp_path / "m", S10, SHAPES, 2)
+
+    def work(session):
+        for _ in range(3):
+            with pytest.raises(TapeMismatch):
+                session.run(S6, OWN[session.party])
+        return session.remaining
+
+    with patch("spdz.compiled.programs.compiled", side_effect=AssertionError) as attempt:
+        assert run_pair(paths, state_dirs(tmp_path), work) == [2, 2]
+    assert not attempt.called
+
+
+def test_a_vector_that_is_too_short_is_refused_by_compiled_code_too(tmp_path):
+    program = S10.within(1.0, min_norm=0.5)
+    paths = deal(tmp_path / "m", program, SHAPES, 4)
+
+    def work(session):
+        kept = [session.run(program, OWN[session.party]).value for _ in range(2)]
+        for wrong in (OWN[session.party] / 4, OWN[session.party] * 1.01, OWN[session.party] * np.nan):
+            with pytest.raises(ValueError, match="shorter than|norm above|not finite"):
+                session.run(program, wrong)
+        return session.remaining, [*kept, session.run(program, OWN[session.party]).value]
+
+    first, second = run_pair(paths, state_dirs(tmp_path), work)
+    assert first == second and first[0] == 2 and len(set(first[1])) == 1
+
+
+def test_a_job_too_large_for_a_frame_is_refused_however_often_it_is_tried(tmp_path):
+    paths = deal(tmp_path / "m", S10, SHAPES, 2)
+
+    def work(session):
+        for _ in range(3):
+            with pytest.raises(ValueError, match="could need frames"):
+                session.run(S10, OWN[session.party])
+        return session.remaining
+
+    with patch("spdz.session.session.MAX_FRAME", 16):
+        assert run_pair(paths, state_dirs(tmp_path), work) == [2, 2]
 
 
 # -- what goes wrong --------------------------------------------------------------------------------------

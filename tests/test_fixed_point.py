@@ -9,7 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spdz.arithmetic import field
-from spdz.arithmetic.fixed_point import FRACTION_BITS, MAX_NORM, decode, decode_signed, encode, norm_bound
+from spdz.arithmetic.fixed_point import (
+    FRACTION_BITS,
+    MAX_NORM,
+    decode,
+    decode_signed,
+    encode,
+    encode_few,
+    norm_bound,
+)
 
 SECRET = 123.456
 laws = settings(max_examples=100, deadline=None)
@@ -26,6 +34,23 @@ def test_quantisation_rounds_to_nearest_even(values):
 def test_ties_go_to_even():
     halves = np.array([0.5, 1.5, 2.5, -0.5, -1.5]) / 2**16
     assert encode(halves, max_norm=1.0).tolist() == [0, 2, 2, 0, -2]
+
+
+AWKWARD = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 5e-324, -0.0, 0.5 / 2**16, 1.5 / 2**16)
+
+
+@laws
+@given(
+    st.lists(st.floats(-0.5, 0.5) | st.sampled_from(AWKWARD), min_size=1, max_size=64),
+    st.sampled_from([0.3, 1.0, 40.0]),
+)
+def test_few_numbers_are_quantised_as_many_are_or_not_at_all(values, max_norm):
+    few = encode_few(np.array(values), norm_bound(max_norm, len(values)) ** 2)
+    if few is None:
+        with pytest.raises(ValueError):
+            encode(values, max_norm=max_norm)
+    else:
+        assert few == encode(values, max_norm=max_norm).tolist() and {type(one) for one in few} == {int}
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.longdouble, np.int8, np.uint64])

@@ -29,6 +29,17 @@ def open_value(checks, value, error=0):
         check.record(field.from_ints([value + error]), field.from_ints([mac]))
 
 
+def test_what_is_heard_after_a_message_is_in_the_next_hash():
+    checks, late = pair(), pair()
+    for one in (*checks, *late):
+        one.absorb([b"first"], b"first")
+    for one in checks:
+        one.message()  # which begins the hash of what is expected, too
+    for one in (*checks, *late):
+        one.absorb([b"second"], b"second")
+    assert [one.expected() for one in checks] == [one.expected() for one in late]
+
+
 def test_honest_parties_pass_again_and_again():
     checks = pair()
     for value in (0, 1, P - 1, 2**80):
