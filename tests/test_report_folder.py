@@ -132,6 +132,15 @@ def test_a_damaged_gallery_is_named(tmp_path, change):
     assert "gallery.jsonl, line 2" in refusal(tmp_path)
 
 
+def test_a_line_of_something_else_is_no_gallery(tmp_path):
+    write(tmp_path)
+    others = [{"n": 5, "security": "malicious", "stored": 9}, {"n": 5, "security": "malicious", "rate": 2.0}]
+    write_lines(tmp_path / "gallery.jsonl", others)
+    assert len(read_results(tmp_path).galleries) == 2
+    write_lines(tmp_path / "gallery.jsonl", [*others, {"n": 5, "security": "malicious", "ms": 0.1}])
+    assert "gallery.jsonl, line 3: `python -m bench gallery --json` prints no such line" in refusal(tmp_path)
+
+
 def test_a_damaged_row_of_versus_is_named(tmp_path):
     write(tmp_path, more=True)
     data = versus()

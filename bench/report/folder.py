@@ -235,4 +235,6 @@ def _gallery(row: dict[str, Any]) -> dict[str, Any]:
             raise ValueError(f"there is no security model {row['security']!r}")
         for name in ("n", "rows", "columns"):
             _whole(row[name], name)
+    elif not ({"n", "security"} < row.keys() and row.keys() & {"stored", "rate"}):
+        raise ValueError("`python -m bench gallery --json` prints no such line")
     return row
