@@ -1,7 +1,9 @@
 """A session misused by its own side: forks, threads, programs that change, questions after the end."""
 
+import gc
 import json
 import os
+import weakref
 from dataclasses import dataclass, field
 from threading import Event, Thread, get_ident
 
@@ -350,6 +352,23 @@ def test_a_tape_that_a_fork_closes_stays_locked_by_its_parent(tmp_path):
         with pytest.raises(TapeInUse):
             Tape.open(paths[0], state_dir=states[0])
         assert len(tape.reserve(1)) == 1
+
+
+def test_a_session_that_nobody_holds_any_more_goes_at_once(tmp_path):
+    """Not with the next collection of cycles, which may be far away."""
+    paths = deal(tmp_path / "m", S10, SHAPES, 2)
+    seen = []
+
+    def work(session):
+        session.run(S10, OWN[session.party])
+        seen.append(weakref.ref(session))
+
+    gc.disable()
+    try:
+        run_pair(paths, state_dirs(tmp_path), work, channels=memory_pair(timeout=5.0))
+        assert [one() for one in seen] == [None, None]
+    finally:
+        gc.enable()
 
 
 def test_a_job_is_used_up_when_both_pad_and_record_are():

@@ -22,11 +22,12 @@ _22 = np.uint64((1 << ELEMENT_LIMB) - 1)
 _EXACT = 53
 """float64 represents all integers of so many bits."""
 
-Cut: TypeAlias = Callable[[Buffer], tuple[bytes, ...]]
-_number = int.from_bytes
-
 LONGEST = 1 << 18
 """Coordinates of a dot product by limbs (:func:`product`)."""
+
+Cut: TypeAlias = Callable[[Buffer], tuple[bytes, ...]]
+
+_number = int.from_bytes
 
 
 @lru_cache

@@ -61,7 +61,6 @@ class ChannelRounds:
     Args:
         channel: A connected channel.
         mac_check: The session's check, or None in semi-honest mode.
-
     """
 
     __slots__ = ("_channel", "_elements", "_payload", "_rounds", "_sent", "mac_check")

@@ -28,7 +28,6 @@ class Lifecycle(ABC):
         self._dead: str | None = None
         self._process = os.getpid()
         self._turn = Turn(what)
-        self._guard = Guard(self, self._turn)
 
     @abstractmethod
     def _note_end(self) -> None:
@@ -74,6 +73,10 @@ class Lifecycle(ABC):
             )
         if self._dead is not None:
             raise ChannelClosed(f"this {self._what} has ended ({self._dead}); open a new one")
+
+    @property
+    def _guard(self) -> Guard:
+        return Guard(self, self._turn)  # kept, it would be a cycle: an abandoned session is to go at once
 
     def _die(self, error: BaseException) -> None:
         """Tell the peer why, close everything, and destroy the tape if the peer cheated.
